@@ -1,0 +1,1 @@
+"""Making it: configuration, random streams, backends, compose, store, production, verify, command line."""

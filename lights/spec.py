@@ -1,0 +1,125 @@
+"""Lights, rigs and lighting conditions, in radiometric units: W, W/sr, W/m², W/(m² sr) per colour channel.
+
+Colours are scene-linear, Rec.709 primaries, D65. Lights other than the environment and emissive bodies are
+never seen by the camera directly; reflections show those that have a size.
+"""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, PositiveFloat, model_validator
+
+from scenes.frozen import Frozen, Matrix4, Rgb, Slug, Vector3
+
+NonNegative = Annotated[float, Field(ge=0)]
+
+
+class _Light(Frozen):
+    """What every light records: its name and, for statistics, where its colour came from."""
+
+    name: Slug
+    colour_temperature: float | None = None
+    gel: str | None = None
+
+
+class EnvironmentLight(_Light):
+    """Light from infinitely far: `radiance` [W/(m² sr)] times an equirectangular map (asset id), or uniform.
+
+    In the map, azimuth runs to the left: the pixel at (u, v) in [0, 1]^2 from the top left lies in direction
+    (cos(lat) cos(phi), cos(lat) sin(phi), sin(lat)) with phi = pi - 2 pi u + `rotation` and lat = pi/2 - pi v,
+    so the centre column looks along +X, the top along +Z, and `rotation` [rad] turns it counter-clockwise about +Z.
+    """
+
+    kind: Literal["environment"] = "environment"
+    map: str | None = None
+    radiance: Rgb = (1.0, 1.0, 1.0)
+    rotation: float = 0.0
+
+
+class SunLight(_Light):
+    """Parallel light: `irradiance` [W/m²] on a surface that faces it; `angle` is the disc's diameter [rad]."""
+
+    kind: Literal["sun"] = "sun"
+    direction: Vector3
+    """The way the light travels, in world axes (any length but zero)."""
+    irradiance: Rgb
+    angle: Annotated[float, Field(ge=0, le=0.5)] = 0.00918
+
+
+class PointLight(_Light):
+    """A sphere of `radius` [m] (0: a point) with radiant `intensity` [W/sr] in every direction."""
+
+    kind: Literal["point"] = "point"
+    position: Vector3
+    intensity: Rgb
+    radius: NonNegative = 0.0
+
+
+class SpotLight(_Light):
+    """A spot at `position` that shines along `direction`.
+
+    `intensity` [W/sr] on the axis; zero outside `half_angle` [rad]; `blend` in [0, 1] is the soft share of the
+    cone, with Blender's smoothstep fall-off.
+    """
+
+    kind: Literal["spot"] = "spot"
+    position: Vector3
+    direction: Vector3
+    intensity: Rgb
+    half_angle: Annotated[float, Field(gt=0, lt=1.5)]
+    blend: Annotated[float, Field(ge=0, le=1)] = 0.15
+    radius: NonNegative = 0.0
+
+
+class AreaLight(_Light):
+    """A one-sided Lambertian rectangle or ellipse of `radiance` [W/(m² sr)], `width` x `height` metres.
+
+    It lies in the XY plane of its own frame and emits along -Z (as a camera looks); `world_from_light` is rigid.
+    """
+
+    kind: Literal["area"] = "area"
+    shape: Literal["rectangle", "disk"] = "rectangle"
+    width: PositiveFloat
+    height: PositiveFloat
+    world_from_light: Matrix4
+    radiance: Rgb
+
+
+class EmissiveLight(_Light):
+    """One part of a body that glows with `radiance` [W/(m² sr)], Lambertian, on both sides."""
+
+    kind: Literal["emissive"] = "emissive"
+    body: Slug
+    part: Annotated[int, Field(ge=0)] = 0
+    radiance: Rgb
+
+
+Light = Annotated[
+    EnvironmentLight | SunLight | PointLight | SpotLight | AreaLight | EmissiveLight, Field(discriminator="kind")
+]
+
+
+class LightRig(Frozen):
+    """All the lights of a scene, in the order of their layers."""
+
+    lights: tuple[Light, ...] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _unique_names(self) -> "LightRig":
+        if len(set(self.names)) != len(self.lights):
+            raise ValueError(f"light names must be unique, got {list(self.names)}")
+        if sum(light.kind == "environment" for light in self.lights) > 1:
+            raise ValueError("a rig holds at most one environment light")
+        return self
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The lights' names, in the order of their layers."""
+        return tuple(light.name for light in self.lights)
+
+
+class LightingCondition(Frozen):
+    """A linear RGB gain for each light by name (absent: off), and an exposure in EV (`gain = 2**ev`)."""
+
+    name: Slug
+    gains: dict[str, Rgb]
+    exposure_ev: float = 0.0

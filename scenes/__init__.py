@@ -1,0 +1,1 @@
+"""What is there: assets, materials, placement, cameras and the frozen `SceneSpec` that names them all."""

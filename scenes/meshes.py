@@ -1,0 +1,83 @@
+"""Triangle meshes as backends receive them, and the plain shapes as meshes."""
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.frozen import Frozen
+from scenes.spec import Material
+
+
+@dataclass(frozen=True)
+class MeshPart:
+    """Triangles that share one material.
+
+    vertices (V, 3) float32 metres, faces (F, 3) int32 counter-clockwise seen from outside, normals (V, 3)
+    float32 unit shading normals, uv (V, 2) float32 with the origin at the image's bottom left, or zeros.
+    """
+
+    name: str
+    vertices: NDArray[np.float32]
+    faces: NDArray[np.int32]
+    normals: NDArray[np.float32]
+    uv: NDArray[np.float32]
+    material: Material
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """The parts of one asset, in the body's frame: metres, Z-up, standing on z = 0, centred in x and y."""
+
+    parts: tuple[MeshPart, ...]
+
+    def vertices(self) -> NDArray[np.float32]:
+        """Stack all parts' vertices, (N, 3) float32, metres."""
+        return np.concatenate([part.vertices for part in self.parts])
+
+    def bounds(self) -> NDArray[np.float32]:
+        """Return the lowest and the highest corner, (2, 3) float32, metres."""
+        points = self.vertices()
+        return np.stack([points.min(axis=0), points.max(axis=0)])
+
+    def sha256(self) -> str:
+        """Hash the arrays and the materials (64 hex digits)."""
+        digest = hashlib.sha256()
+        for part in self.parts:
+            digest.update(part.material.canonical_json().encode())
+            for array in (part.vertices, part.faces, part.normals, part.uv):
+                digest.update(np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()
+
+
+class _Header(Frozen):
+    """The JSON line kept inside a mesh file."""
+
+    names: tuple[str, ...]
+    materials: tuple[Material, ...]
+
+
+def save_mesh(mesh: Mesh, path: Path) -> None:
+    """Write a mesh as an uncompressed NPZ, under a temporary name first."""
+    header = _Header(names=tuple(p.name for p in mesh.parts), materials=tuple(p.material for p in mesh.parts))
+    arrays: dict[str, NDArray[np.generic]] = {"header": np.frombuffer(header.canonical_json().encode(), np.uint8)}
+    for i, part in enumerate(mesh.parts):
+        arrays |= {f"v{i}": part.vertices, f"f{i}": part.faces, f"n{i}": part.normals, f"t{i}": part.uv}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f"{path.stem}.{id(mesh):x}.tmp.npz")
+    np.savez(temporary, **arrays)  # type: ignore[arg-type]
+    temporary.replace(path)
+
+
+def load_mesh(path: Path) -> Mesh:
+    """Read what `save_mesh` wrote; never unpickles."""
+    with np.load(path, allow_pickle=False) as data:
+        header = _Header.from_json(data["header"].tobytes().decode())
+        return Mesh(
+            tuple(
+                MeshPart(name, data[f"v{i}"], data[f"f{i}"], data[f"n{i}"], data[f"t{i}"], material)
+                for i, (name, material) in enumerate(zip(header.names, header.materials, strict=True))
+            )
+        )
