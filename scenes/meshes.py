@@ -1,6 +1,7 @@
 """Triangle meshes as backends receive them, and the plain shapes as meshes."""
 
 import hashlib
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -66,8 +67,8 @@ def save_mesh(mesh: Mesh, path: Path) -> None:
     for i, part in enumerate(mesh.parts):
         arrays |= {f"v{i}": part.vertices, f"f{i}": part.faces, f"n{i}": part.normals, f"t{i}": part.uv}
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f"{path.stem}.{id(mesh):x}.tmp.npz")
-    np.savez(temporary, **arrays)  # type: ignore[arg-type]
+    temporary = path.with_name(f"{path.stem}.{os.getpid()}.{id(mesh):x}.tmp.npz")
+    np.savez(temporary, **arrays)
     temporary.replace(path)
 
 

@@ -58,12 +58,12 @@ class Rectangle(Frozen):
 class MeshAsset(Frozen):
     """A mesh of the asset library, in metres, Z-up, standing on z = 0, centred in x and y.
 
-    `sha256` is the hash of the converted mesh, so that a changed asset cannot pass for the old one.
+    `mesh_sha256` is the hash of the converted mesh, so that a changed asset cannot pass for the old one.
     """
 
     shape: Literal["mesh"] = "mesh"
     asset: str
-    sha256: str
+    mesh_sha256: str
     parts: PositiveInt
 
 

@@ -76,7 +76,7 @@ def resolve_renderer(wanted: str) -> RendererName:
         case "cycles" if not has_cycles:
             raise BackendError("renderer 'cycles' needs the package bpy: pip install 'bpy==4.5.*'")
         case "cycles" | "analytic":
-            return wanted  # type: ignore[return-value]
+            return wanted
         case _:
             raise BackendError(f"renderer {wanted!r} is not available; choose auto, cycles or analytic")
 

@@ -1,62 +1,140 @@
 """The one place that finds, loads and lists assets by id (`pack/name`)."""
 
-from dataclasses import dataclass
+import hashlib
+from collections.abc import Sequence
+from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Protocol
 
-from scenes.meshes import Mesh
+from scenes.assets.builtin import BuiltinPack
+from scenes.assets.cache import default_cache
+from scenes.assets.environments import PmndrsPack
+from scenes.assets.fetch import SOURCES, is_fetched, pack_folder, pack_record
+from scenes.assets.folder import FolderPack
+from scenes.assets.info import AssetError, AssetInfo, AssetRole
+from scenes.assets.surfaces import SurfacePack
+from scenes.assets.sweethome3d import SweetHome3dPack
+from scenes.meshes import Mesh, load_mesh, save_mesh
 
-AssetRole = Literal["object", "table", "environment", "texture"]
+__all__ = ["AssetError", "AssetInfo", "AssetLibrary", "AssetRole"]
 
 
-class AssetError(RuntimeError):
-    """An asset is missing or broken: names the asset, the file and the remedy."""
+class Pack(Protocol):
+    """A set of assets under one name. Names of assets are given without the `pack/` in front."""
 
-
-@dataclass(frozen=True)
-class AssetInfo:
-    """What is known of an asset without opening it.
-
-    `category` is a word such as `mug`, `wood` or `indoor`; `size` (x, y, z) is in metres, for models;
-    `place` names the real place of an environment map (splits go by place).
-    """
-
-    id: str
-    pack: str
-    role: AssetRole
     name: str
-    category: str
-    licence: str
-    creator: str
-    size: tuple[float, float, float] | None = None
-    place: str | None = None
+
+    def infos(self) -> Sequence[AssetInfo]:
+        """List the pack's assets; quick, opens no model."""
+        ...
+
+    def mesh_key(self, name: str) -> str:
+        """Hash what a model's conversion depends on (file and code), quickly."""
+        ...
+
+    def mesh(self, name: str) -> Mesh:
+        """Convert a model; raises `AssetError` naming the broken file."""
+        ...
+
+    def texture(self, name: str) -> Path:
+        """Return the file of a texture; raises `AssetError` where there is none."""
+        ...
+
+    def environment(self, name: str) -> Path:
+        """Return the file of an environment map; raises `AssetError` where there is none."""
+        ...
+
+
+def _open(name: str, cache: Path) -> Pack:
+    """Open an installed pack; raises `AssetError` with the command that fetches it."""
+    if name == BuiltinPack.name:
+        return BuiltinPack(cache)
+    if name not in SOURCES:
+        raise AssetError(f"no pack {name!r}; there are {', '.join((BuiltinPack.name, *SOURCES))}")
+    if not is_fetched(name, cache):
+        raise AssetError(f"pack {name!r} is not installed; run `multilight assets fetch {name}`")
+    record = pack_record(name, cache)
+    folder = pack_folder(name, cache) / record.get("folder", ".")
+    match SOURCES[name].manager:
+        case "apt":
+            return SweetHome3dPack(folder, cache)
+        case "npm":
+            return PmndrsPack(name, folder)
+        case "pip":
+            return SurfacePack(name, folder, cache, SOURCES[name].licence)
 
 
 class AssetLibrary:
     """All installed assets, in a fixed order.
 
     `cache` holds fetched packs and converted meshes (default: `$MULTILIGHT_CACHE`, else `~/.cache/multilight`).
+    `packs` are the names of the packs to use (default: `builtin` and every fetched one); `folders` are the
+    user's own folders of models, each a pack under its folder's name. Raises `AssetError` for a pack that is
+    not there.
     """
 
-    def __init__(self, cache: Path | None = None, packs: tuple[str, ...] | None = None) -> None:
-        raise NotImplementedError
+    def __init__(
+        self, cache: Path | None = None, packs: tuple[str, ...] | None = None, folders: tuple[Path, ...] = ()
+    ) -> None:
+        self.cache = default_cache() if cache is None else Path(cache)
+        wanted = (BuiltinPack.name, *(n for n in SOURCES if is_fetched(n, self.cache))) if packs is None else packs
+        self._packs: dict[str, Pack] = {name: _open(name, self.cache) for name in wanted}
+        for folder in folders:
+            pack = FolderPack(Path(folder), self.cache)
+            if pack.name in self._packs:
+                raise AssetError(f"two packs are called {pack.name!r}; rename the folder {folder}")
+            self._packs[pack.name] = pack
+
+    @cached_property
+    def _infos(self) -> dict[str, AssetInfo]:
+        infos = (info for pack in self._packs.values() for info in pack.infos())
+        return {info.id: info for info in sorted(infos, key=lambda info: info.id)}
 
     def list(self, role: AssetRole) -> tuple[AssetInfo, ...]:
         """List the installed assets of a role, sorted by id."""
-        raise NotImplementedError
+        return tuple(info for info in self._infos.values() if info.role == role)
 
     def info(self, asset: str) -> AssetInfo:
         """Return what is known of an asset; raises `AssetError` with the command that fetches its pack."""
-        raise NotImplementedError
+        if asset not in self._infos:
+            self._pack(asset)
+            raise AssetError(f"no asset {asset!r}; `multilight assets list` shows those there are")
+        return self._infos[asset]
 
     def mesh(self, asset: str) -> Mesh:
         """Load a model (from the converted cache where possible); raises `AssetError` naming the broken file."""
-        raise NotImplementedError
+        info = self.info(asset)
+        if info.role not in ("object", "table", "surrounding"):
+            raise AssetError(f"{asset!r} is a {info.role}, not a model")
+        pack, name = self._pack(asset)
+        key = hashlib.sha256(f"{name} {pack.mesh_key(name)}".encode()).hexdigest()[:24]
+        path = self.cache / "meshes" / info.pack / f"{key}.npz"
+        if path.exists():
+            return load_mesh(path)
+        mesh = pack.mesh(name)
+        try:
+            save_mesh(mesh, path)
+        except OSError as error:
+            raise AssetError(
+                f"cannot write {path}: {error.strerror or error}; free some space or set MULTILIGHT_CACHE"
+            ) from error
+        return mesh
 
     def texture_path(self, image: str) -> Path:
         """Return the PNG or JPEG file of a texture, made on first use where it is procedural."""
-        raise NotImplementedError
+        pack, name = self._pack(image)
+        return pack.texture(name)
 
     def environment_path(self, environment: str) -> Path:
         """Return the equirectangular EXR file (float or half, linear Rec.709) of an environment map."""
-        raise NotImplementedError
+        self.info(environment)
+        pack, name = self._pack(environment)
+        return pack.environment(name)
+
+    def _pack(self, asset: str) -> tuple[Pack, str]:
+        pack, _, name = asset.partition("/")
+        if pack not in self._packs:
+            raise AssetError(
+                f"asset {asset!r} needs the pack {pack!r}, which is not installed; run `multilight assets fetch {pack}`"
+            )
+        return self._packs[pack], name

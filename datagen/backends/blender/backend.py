@@ -1,0 +1,205 @@
+"""`BlenderBackend`: one job in, one `LayerStack` out."""
+
+import contextlib
+from collections.abc import Iterator
+from types import TracebackType
+from typing import ClassVar, Self
+
+import bpy
+import numpy as np
+
+from datagen.backends import BackendError, RenderJob, RenderSettings, split_variant
+from datagen.backends.blender.film import Passes, beauty_filter, centre_filter, configure, render_passes
+from datagen.backends.blender.materials import ALBEDO_AOV, SURFACE_AOV
+from datagen.backends.blender.scene import SyncedScene, place_camera, projected_border
+from datagen.layers import Float32, GeometryBuffers, LayerStack
+from lights.spec import LightRig
+from scenes.assets.library import AssetLibrary
+from scenes.spec import Camera, SceneSpec
+
+_NOTHING = 1e9
+"""Cycles writes 1e10 metres where a ray hits nothing."""
+
+
+class BlenderBackend:
+    """Renders with Cycles, light by light in one pass through its light groups.
+
+    The scene stays in Blender between jobs; only camera, seed and visibility change then. Blender is one to a
+    process: of several backends, the one that rendered last holds it.
+    """
+
+    name = "cycles"
+    _holder: ClassVar["BlenderBackend | None"] = None
+
+    def __init__(self, library: AssetLibrary) -> None:
+        self._library = library
+        self._key: tuple[SceneSpec, LightRig, RenderSettings] | None = None
+        self._seeds = 0
+        self._synced: SyncedScene | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if BlenderBackend._holder is self:
+            bpy.ops.wm.read_factory_settings(use_empty=True)
+            BlenderBackend._holder = None
+        self._key = self._synced = None
+
+    def version(self) -> str:
+        """Name and version of the renderer, such as "Cycles (Blender 4.5.15 LTS)"."""
+        return f"Cycles (Blender {bpy.app.version_string})"
+
+    def render(self, job: RenderJob) -> LayerStack:
+        """Render one job; raises `BackendError` with the value and the remedy."""
+        action, name = split_variant(job.scene, job.variant)
+        if not 0 <= job.view < len(job.scene.cameras):
+            raise BackendError(f"view {job.view} is not in 0..{len(job.scene.cameras) - 1}")
+        synced = self._sync(job)
+        camera = job.scene.cameras[job.view]
+        place_camera(camera)
+        # One seed for all variants of a view: pixels that the object does not touch come out the same.
+        bpy.context.scene.cycles.seed = (self._seeds + job.view) % 2**31
+        match action:
+            case "without":
+                assert name is not None
+                with _hidden(synced, name):
+                    return _stack(_beauty(job.settings), job.rig)
+            case "foreground":
+                assert name is not None
+                return _render_foreground(synced, job, name)
+            case _:
+                passes = _beauty(job.settings)
+                return _stack(passes, job.rig, geometry=_geometry(camera, passes))
+
+    def _sync(self, job: RenderJob) -> SyncedScene:
+        key = (job.scene, job.rig, job.settings)
+        if self._synced is None or BlenderBackend._holder is not self or key != self._key:
+            self._key, BlenderBackend._holder = None, self
+            self._synced = SyncedScene(job.scene, job.rig, self._library)
+            configure(job.settings, job.rig.names)
+            self._key, self._seeds = key, int(job.scene.sha256()[:8], 16)
+        return self._synced
+
+
+def _beauty(settings: RenderSettings) -> Passes:
+    beauty_filter(settings.spp)
+    return render_passes()
+
+
+def _stack(
+    passes: Passes,
+    rig: LightRig,
+    *,
+    geometry: GeometryBuffers | None = None,
+    coverage: Float32 | None = None,
+) -> LayerStack:
+    return LayerStack(
+        lights=rig.names,
+        radiance=np.stack([passes[f"Combined_{name}"][..., :3] for name in rig.names]),
+        combined=np.ascontiguousarray(passes["Combined"][..., :3]),
+        geometry=geometry,
+        coverage=coverage,
+        guide_albedo=passes["Denoising Albedo"],
+        guide_normal=passes["Denoising Normal"],
+    )
+
+
+def _geometry(camera: Camera, beauty: Passes) -> GeometryBuffers:
+    """Render once more through the pixel centres; only `environment` comes from the full render."""
+    centre_filter()
+    passes = render_passes()
+    hit = passes["Depth"] < _NOTHING
+    surface = passes[SURFACE_AOV][..., :3] * hit[..., None]
+    return GeometryBuffers(
+        z_depth=np.where(hit, passes["Depth"], np.float32(0)),
+        normal_world=_towards_camera(camera, passes["Normal"] * hit[..., None]),
+        albedo=passes[ALBEDO_AOV][..., :3] * hit[..., None],
+        roughness=np.ascontiguousarray(surface[..., 0]),
+        metallic=np.ascontiguousarray(surface[..., 1]),
+        instance_id=np.where(hit, np.rint(passes["IndexOB"]), 0).astype(np.uint16),
+        environment=np.clip(1 - beauty[SURFACE_AOV][..., 2], 0, 1),
+    )
+
+
+def _towards_camera(camera: Camera, normal: Float32) -> Float32:
+    """Normalize and turn each normal against its pixel's viewing ray."""
+    x = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
+    y = (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
+    rays = np.stack(np.broadcast_arrays(x, -y[:, None], -1.0), axis=-1) @ camera.pose()[:3, :3].T
+    facing = np.where((normal * rays).sum(axis=-1, keepdims=True) > 0, -normal, normal)
+    length = np.linalg.norm(facing, axis=-1, keepdims=True)
+    return np.divide(facing, length, out=np.zeros_like(facing), where=length > 0)
+
+
+def _render_foreground(synced: SyncedScene, job: RenderJob, name: str) -> LayerStack:
+    camera = job.scene.cameras[job.view]
+    border = projected_border(camera, synced.box(name))
+    if border is None:
+        return _unseen(camera, job.rig)
+    with _alone(synced, name), _bordered(camera, border):
+        passes = _beauty(job.settings)
+    return _stack(passes, job.rig, coverage=np.clip(passes["Combined"][..., 3], 0, 1))
+
+
+def _unseen(camera: Camera, rig: LightRig) -> LayerStack:
+    picture = np.zeros((camera.height, camera.width, 3), np.float32)
+    return LayerStack(
+        lights=rig.names,
+        radiance=np.zeros((len(rig.names), *picture.shape), np.float32),
+        combined=picture,
+        coverage=picture[..., 0],
+        guide_albedo=picture,
+        guide_normal=picture,
+    )
+
+
+@contextlib.contextmanager
+def _hidden(synced: SyncedScene, name: str) -> Iterator[None]:
+    """Make a body invisible to every kind of ray: the same picture as without it, to the last bit.
+
+    `hide_render` would have Cycles drop and rebuild the body's geometry, which costs more than many a render.
+    """
+    _set_visibility(synced.objects[name], False)
+    try:
+        yield
+    finally:
+        _set_visibility(synced.objects[name], True)
+
+
+def _set_visibility(objects: list[bpy.types.Object], visible: bool) -> None:
+    for placed in objects:
+        for ray in ("camera", "diffuse", "glossy", "transmission", "shadow", "volume_scatter"):
+            setattr(placed, f"visible_{ray}", visible)
+
+
+@contextlib.contextmanager
+def _alone(synced: SyncedScene, name: str) -> Iterator[None]:
+    """Let the camera see one body only: the others hide it and light it, but leave the picture empty."""
+    others = [placed for body, objects in synced.objects.items() if body != name for placed in objects]
+    render = bpy.context.scene.render
+    render.film_transparent = True
+    for placed in others:
+        placed.is_holdout = True
+    try:
+        yield
+    finally:
+        render.film_transparent = False
+        for placed in others:
+            placed.is_holdout = False
+
+
+@contextlib.contextmanager
+def _bordered(camera: Camera, border: tuple[int, int, int, int]) -> Iterator[None]:
+    """Render only these pixels (left, top, right, bottom) of the full picture; the rest is zero."""
+    left, top, right, bottom = border
+    render = bpy.context.scene.render
+    render.use_border, render.use_crop_to_border = True, False
+    render.border_min_x, render.border_max_x = left / camera.width, right / camera.width
+    render.border_min_y, render.border_max_y = 1 - bottom / camera.height, 1 - top / camera.height
+    try:
+        yield
+    finally:
+        render.use_border = False

@@ -1,0 +1,148 @@
+"""`scenes.spec.Material` as a Cycles shader: Principled BSDF, emission, and AOVs for the geometry buffers."""
+
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from datagen.backends import BackendError
+from datagen.backends.blender.meshes import UV_LAYER
+from scenes.assets.library import AssetLibrary
+from scenes.frozen import Rgb
+from scenes.spec import Material, Texture
+
+ALBEDO_AOV = "albedo"
+SURFACE_AOV = "surface"
+"""Roughness, metallic and one, in R, G and B."""
+
+
+class Materials:
+    """Makes each distinct (material, emission) of a scene once."""
+
+    def __init__(self, library: AssetLibrary) -> None:
+        self._library = library
+        self._made: dict[tuple[Material, Rgb | None], bpy.types.Material] = {}
+        self._images: dict[tuple[str, str], bpy.types.Image] = {}
+
+    def get(self, material: Material, emission: Rgb | None = None) -> bpy.types.Material:
+        """Return the shader; `emission` [W/(m² sr)] is added to what the surface reflects."""
+        key = (material, emission)
+        if key not in self._made:
+            self._made[key] = self._build(material, emission)
+        return self._made[key]
+
+    def _build(self, material: Material, emission: Rgb | None) -> bpy.types.Material:
+        made = bpy.data.materials.new(material.name)
+        # A material made through the data API starts without nodes in Blender 4 and with them in 5.
+        if made.node_tree is None:
+            made.use_nodes = True
+        tree = made.node_tree
+        tree.nodes.clear()
+        color, alpha = self._base_color(tree, material)
+        roughness: Any = material.roughness
+        if material.roughness_texture is not None:
+            texture = self._texture(tree, material.roughness_texture, "Non-Color")
+            roughness = _math(tree, "MULTIPLY", texture.outputs["Color"], material.roughness)
+        surface = _node(
+            tree,
+            "ShaderNodeBsdfPrincipled",
+            {
+                "Base Color": color,
+                "Roughness": roughness,
+                "Metallic": material.metallic,
+                "IOR": material.ior,
+                "Alpha": alpha,
+                "Coat Weight": material.coat,
+                "Coat Roughness": material.coat_roughness,
+                "Transmission Weight": material.transmission,
+            },
+        )
+        if material.normal_texture is not None:
+            texture = self._texture(tree, material.normal_texture, "Non-Color")
+            bumps = _node(tree, "ShaderNodeNormalMap", {"Color": texture.outputs["Color"]})
+            bumps.uv_map = UV_LAYER
+            tree.links.new(bumps.outputs["Normal"], surface.inputs["Normal"])
+        shader = surface.outputs["BSDF"]
+        if emission is not None:
+            shader = _add_emission(tree, shader, emission, alpha)
+            made.cycles.emission_sampling = "FRONT_BACK"
+        _node(tree, "ShaderNodeOutputMaterial", {"Surface": shader})
+        _write_aovs(tree, color, (roughness, material.metallic), alpha)
+        return made
+
+    def _base_color(self, tree: Any, material: Material) -> tuple[Any, Any]:
+        if material.base_color_texture is None:
+            return material.base_color, material.opacity
+        texture = self._texture(tree, material.base_color_texture, "sRGB")
+        color = _node(tree, "ShaderNodeVectorMath", {0: texture.outputs["Color"], 1: material.base_color}, "MULTIPLY")
+        alpha: Any = material.opacity
+        if material.opacity_from_alpha:
+            alpha = _math(tree, "MULTIPLY", texture.outputs["Alpha"], material.opacity)
+        return color.outputs["Vector"], alpha
+
+    def _texture(self, tree: Any, texture: Texture, colour_space: str) -> Any:
+        uv = _node(tree, "ShaderNodeUVMap", {})
+        uv.uv_map = UV_LAYER
+        tiled = _node(tree, "ShaderNodeVectorMath", {0: uv.outputs["UV"], 1: (*texture.repeat, 1.0)}, "MULTIPLY")
+        node = _node(tree, "ShaderNodeTexImage", {"Vector": tiled.outputs["Vector"]})
+        key = (texture.image, colour_space)
+        if key not in self._images:
+            self._images[key] = load_image(self._library.texture_path(texture.image), colour_space)
+        node.image = self._images[key]
+        node.extension = "REPEAT"
+        return node
+
+
+def load_image(path: Path, colour_space: str) -> bpy.types.Image:
+    """Open an image file by path; raises `BackendError` naming a missing or broken file."""
+    try:
+        # Never shared between colour spaces, so never `check_existing`.
+        image = bpy.data.images.load(str(path), check_existing=False)
+    except RuntimeError as error:
+        raise BackendError(f"cannot open image {path}: {str(error).strip()}; fetch or repair its asset") from error
+    if 0 in image.size:
+        raise BackendError(f"cannot decode image {path}; fetch or repair its asset")
+    image.colorspace_settings.name = colour_space
+    # Colours stay as stored: alpha is data of its own, not a premultiplier.
+    image.alpha_mode = "CHANNEL_PACKED"
+    return image
+
+
+def _add_emission(tree: Any, shader: Any, emission: Rgb, alpha: Any) -> Any:
+    """Add emission beside the Principled BSDF, whose own a coat would dim; a cut-out does not glow."""
+    glow = _node(tree, "ShaderNodeEmission", {"Color": emission, "Strength": alpha})
+    total = _node(tree, "ShaderNodeAddShader", {0: shader, 1: glow.outputs["Emission"]})
+    return total.outputs["Shader"]
+
+
+def _write_aovs(tree: Any, color: Any, surface: tuple[Any, Any], alpha: Any) -> None:
+    """Write the AOVs where the surface is opaque enough to count as hit (Cycles' threshold for Z and ids)."""
+    if isinstance(alpha, float):
+        shown: Any = float(alpha > 0.5)
+    else:
+        shown = _math(tree, "GREATER_THAN", alpha, 0.5)
+    triple = _node(tree, "ShaderNodeCombineXYZ", {0: surface[0], 1: surface[1], 2: 1.0})
+    for name, vector in ((ALBEDO_AOV, color), (SURFACE_AOV, triple.outputs["Vector"])):
+        masked = _node(tree, "ShaderNodeVectorMath", {"Vector": vector, "Scale": shown}, "SCALE")
+        output = _node(tree, "ShaderNodeOutputAOV", {"Color": masked.outputs["Vector"]})
+        output.aov_name = name
+
+
+def _math(tree: Any, operation: str, first: Any, second: Any) -> Any:
+    return _node(tree, "ShaderNodeMath", {0: first, 1: second}, operation).outputs["Value"]
+
+
+def _node(tree: Any, kind: str, inputs: dict[Any, Any], operation: str | None = None) -> Any:
+    """Add a node; an input is a socket to link or a plain value (RGB is padded to RGBA where needed)."""
+    node = tree.nodes.new(kind)
+    if operation is not None:
+        node.operation = operation
+    for key, value in inputs.items():
+        socket = node.inputs[key]
+        if isinstance(value, bpy.types.NodeSocket):
+            tree.links.new(value, socket)
+        elif socket.type == "RGBA":
+            socket.default_value = (*value, 1.0)
+        else:
+            socket.default_value = value
+    return node

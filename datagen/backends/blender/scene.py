@@ -1,0 +1,156 @@
+"""A `SceneSpec` and a `LightRig` as a Blender scene, and the camera that moves in it."""
+
+from itertools import product
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+from numpy.typing import NDArray
+
+from datagen.backends import BackendError
+from datagen.backends.blender import lights as blender_lights
+from datagen.backends.blender import meshes
+from datagen.backends.blender.materials import Materials
+from lights.spec import EmissiveLight, EnvironmentLight, LightRig
+from scenes.assets.library import AssetLibrary
+from scenes.spec import Body, Camera, MeshAsset, Rectangle, SceneSpec, Sphere
+
+_SENSOR_WIDTH = 36.0
+
+
+class SyncedScene:
+    """A scene as Blender holds it: the objects of each body, and the body's box in the world."""
+
+    def __init__(self, scene: SceneSpec, rig: LightRig, library: AssetLibrary) -> None:
+        """Empty Blender's file and build the scene anew, from data only."""
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        self._library = library
+        self._materials = Materials(library)
+        self._meshes: dict[object, bpy.types.Mesh] = {}
+        self.objects: dict[str, list[bpy.types.Object]] = {}
+        emissive = [light for light in rig.lights if isinstance(light, EmissiveLight)]
+        _check_emissive(scene, emissive)
+        for number, body in enumerate(scene.bodies, start=1):
+            glows = {light.part: light for light in emissive if light.body == body.name}
+            self.objects[body.name] = self._add_body(body, number, glows)
+        world = None
+        for light in rig.lights:
+            if isinstance(light, EnvironmentLight):
+                world = light
+            elif not isinstance(light, EmissiveLight):
+                blender_lights.add_light(light)
+        blender_lights.set_world(world, library)
+        camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+        bpy.context.scene.collection.objects.link(camera)
+        bpy.context.scene.camera = camera
+
+    def box(self, name: str) -> NDArray[np.float64]:
+        """Return the eight corners of boxes round a body's objects, (8 n, 3) float64, world metres."""
+        corners = []
+        for placed in self.objects[name]:
+            points = np.empty(len(placed.data.vertices) * 3, np.float32)
+            placed.data.vertices.foreach_get("co", points)
+            low, high = points.reshape(-1, 3).min(axis=0), points.reshape(-1, 3).max(axis=0)
+            local = np.array(list(product(*zip(low, high, strict=True))))
+            pose = np.array(placed.matrix_world)
+            corners.append(local @ pose[:3, :3].T + pose[:3, 3])
+        return np.concatenate(corners)
+
+    def _add_body(self, body: Body, number: int, glows: dict[int, EmissiveLight]) -> list[bpy.types.Object]:
+        """Add a body; a light group belongs to a whole Blender object, so each glowing part becomes one."""
+        parts = range(len(body.materials))
+        groups = [[part for part in parts if part not in glows], *([part] for part in parts if part in glows)]
+        placed = []
+        for group in filter(None, groups):
+            light = glows.get(group[0])
+            placed.append(self._add_object(body, tuple(group), number, light))
+        return placed
+
+    def _add_object(
+        self, body: Body, parts: tuple[int, ...], number: int, light: EmissiveLight | None
+    ) -> bpy.types.Object:
+        placed = bpy.data.objects.new(body.name, self._mesh(body, parts))
+        scale = body.geometry.radius if isinstance(body.geometry, Sphere) else 1.0
+        placed.matrix_world = Matrix(body.world_from_body) @ Matrix.Diagonal((scale, scale, scale, 1.0))
+        for slot, part in enumerate(parts):
+            shader = self._materials.get(body.materials[part], light.radiance if light else None)
+            # Slots belong to the object, so that bodies may share a mesh and yet differ in material.
+            placed.material_slots[slot].link = "OBJECT"
+            placed.material_slots[slot].material = shader
+        placed.pass_index = number
+        if light is not None:
+            placed.lightgroup = light.name
+        bpy.context.scene.collection.objects.link(placed)
+        return placed
+
+    def _mesh(self, body: Body, parts: tuple[int, ...]) -> bpy.types.Mesh:
+        match body.geometry:
+            case Sphere():
+                key: object = "sphere"
+            case geometry:
+                key = (geometry, parts)
+        if key not in self._meshes:
+            self._meshes[key] = self._build_mesh(body, parts)
+            for _ in parts:
+                self._meshes[key].materials.append(None)
+        return self._meshes[key]
+
+    def _build_mesh(self, body: Body, parts: tuple[int, ...]) -> bpy.types.Mesh:
+        match body.geometry:
+            case Sphere():
+                return meshes.unit_sphere(body.name)
+            case Rectangle() as shape:
+                return meshes.rectangle(body.name, shape)
+            case MeshAsset() as shape:
+                mesh = self._library.mesh(shape.asset)
+                if len(mesh.parts) != shape.parts:
+                    raise BackendError(
+                        f"asset {shape.asset!r} has {len(mesh.parts)} part(s), not {shape.parts}; "
+                        "make the scene again with the assets that are installed now"
+                    )
+                return meshes.mesh_from_parts(body.name, [mesh.parts[part] for part in parts])
+
+
+def _check_emissive(scene: SceneSpec, emissive: list[EmissiveLight]) -> None:
+    """Fail on a light that names no part of the scene, or a part that another light has."""
+    free = {body.name: list(range(len(body.materials))) for body in scene.bodies}
+    for light in emissive:
+        if light.part not in free.get(light.body, ()):
+            raise BackendError(
+                f"light {light.name!r}: part {light.part} of body {light.body!r} is not free to glow; "
+                f"bodies and their free parts are {free}"
+            )
+        free[light.body].remove(light.part)
+
+
+def place_camera(camera: Camera) -> None:
+    """Set Blender's camera and picture size: same axes, the principal point as a shift of the sensor."""
+    scene = bpy.context.scene
+    scene.render.resolution_x, scene.render.resolution_y = camera.width, camera.height
+    # A pixel is 1/fx wide and 1/fy high; Blender takes the ratio as two numbers of at least one.
+    scene.render.pixel_aspect_x = max(1.0, camera.fy / camera.fx)
+    scene.render.pixel_aspect_y = max(1.0, camera.fx / camera.fy)
+    placed, data = scene.camera, scene.camera.data
+    placed.matrix_world = Matrix(camera.c2w)
+    data.sensor_fit, data.sensor_width = "HORIZONTAL", _SENSOR_WIDTH
+    data.lens = camera.fx * _SENSOR_WIDTH / camera.width
+    data.shift_x = (camera.width / 2 - camera.cx) / camera.width
+    data.shift_y = (camera.cy - camera.height / 2) * (camera.fx / camera.fy) / camera.width
+    data.clip_start, data.clip_end = 1e-4, 1e5
+
+
+def projected_border(camera: Camera, corners: NDArray[np.float64]) -> tuple[int, int, int, int] | None:
+    """Return the pixels that may see a box: (left, top, right, bottom), right and bottom excluded.
+
+    The whole picture where a corner lies behind the camera; None where the box is out of sight.
+    """
+    pose = camera.pose()
+    local = (corners - pose[:3, 3]) @ pose[:3, :3]
+    if (local[:, 2] > -1e-6).any():
+        return (0, 0, camera.width, camera.height)
+    x = camera.cx - camera.fx * local[:, 0] / local[:, 2]
+    y = camera.cy + camera.fy * local[:, 1] / local[:, 2]
+    margin = 2
+    left, right = max(0, int(x.min()) - margin), min(camera.width, int(x.max()) + 1 + margin)
+    top, bottom = max(0, int(y.min()) - margin), min(camera.height, int(y.max()) + 1 + margin)
+    return (left, top, right, bottom) if left < right and top < bottom else None

@@ -1,0 +1,214 @@
+"""Make or continue a dataset: plan, worker processes, index; resumable after any kill."""
+
+import contextlib
+import errno
+import fcntl
+import importlib.metadata
+import multiprocessing
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import TimeoutError as FutureTimeout
+from dataclasses import dataclass
+from pathlib import Path
+
+from pebble import ProcessExpired, ProcessFuture, ProcessPool
+
+from datagen.backends import RendererName, resolve_renderer
+from datagen.config import DatasetConfig
+from datagen.errors import DiskFullError, UserError, full_disk_told
+from datagen.index import write_index
+from datagen.records import DatasetRecord
+from datagen.store import read_dataset, read_scene, scene_dir, scene_indices, write_text
+from datagen.worker import WorkerSetup, log_path, run_scene, start_worker
+
+SCENES_A_WORKER = 25  # then a fresh process: a long-lived Blender grows
+SECONDS_A_MEGASAMPLE = 60.0  # a hundred times what a slow core needs; only a hung scene exceeds it
+LEAST_TIMEOUT = 600.0
+VERSIONS = ("multilight", "bpy", "mitsuba-oidn", "OpenEXR", "trimesh", "numpy", "colour-science")
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A run: where, what, which scenes, with how many processes."""
+
+    root: Path
+    config: DatasetConfig
+    indices: tuple[int, ...]
+    workers: int
+    asset_folders: tuple[Path, ...] = ()
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a run did; `failures` maps a scene to one line of reason."""
+
+    made: tuple[int, ...]
+    kept: int
+    failures: dict[int, str]
+
+
+Report = Callable[[float, float], None]
+"""Called now and then with the views finished and the views planned."""
+
+
+def make_dataset(plan: Plan, report: Report) -> Outcome:
+    """Make what is missing of the plan's scenes.
+
+    Raises `UserError` where the folder cannot be written, holds a dataset of another configuration or renderer,
+    is being made by another run, or is full.
+    """
+    renderer = resolve_renderer(plan.config.renderer)
+    _check_kind(plan.config, renderer)
+    with _locked(plan.root), full_disk_told(plan.root):
+        _open_record(plan, renderer)
+        for leftover in ("work", "logs"):
+            shutil.rmtree(plan.root / leftover, ignore_errors=True)
+        done = set(scene_indices(plan.root))
+        missing = tuple(i for i in plan.indices if i not in done)
+        kept = len(plan.indices) - len(missing)
+        if not missing:
+            if not (plan.root / "index.parquet").is_file():
+                write_index(plan.root)
+            return Outcome((), kept, {})
+        failures = _run(plan, renderer, missing, report)
+        _finish(plan.root)
+        return Outcome(tuple(i for i in missing if i not in failures), kept, failures)
+
+
+def default_workers(scenes: int) -> int:
+    """Return one process a core, but no more than there are scenes."""
+    return max(1, min(len(os.sched_getaffinity(0)), scenes))
+
+
+def _check_kind(config: DatasetConfig, renderer: RendererName) -> None:
+    if renderer == "analytic" and config.kind != "spheres":
+        raise UserError(
+            f"renderer 'analytic' is a closed form for spheres on a plane and cannot render kind {config.kind!r}; "
+            "use --kind spheres, or --renderer cycles"
+        )
+
+
+@contextlib.contextmanager
+def _locked(root: Path) -> Iterator[None]:
+    """Hold the dataset's lock; the kernel drops it when the process ends, however it ends."""
+    try:
+        root.mkdir(parents=True, exist_ok=True)
+        lock = (root / ".lock").open("w")
+    except OSError as error:
+        raise UserError(f"output folder {root} cannot be written: {error.strerror}; choose another --out") from None
+    with lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            if error.errno not in (errno.EWOULDBLOCK, errno.EACCES):
+                raise
+            raise UserError(f"{root} is being made by another process; wait for it or stop it first") from None
+        yield
+
+
+def _open_record(plan: Plan, renderer: RendererName) -> None:
+    """Write `dataset.json`, or check that what is there was made with the same configuration and renderer."""
+    path = plan.root / "dataset.json"
+    if not path.exists():
+        if any(not p.name.startswith(".") for p in plan.root.iterdir()):
+            raise UserError(f"output folder {plan.root} holds other files and no dataset; choose an empty --out")
+        versions = {package: importlib.metadata.version(package) for package in VERSIONS}
+        record = DatasetRecord(config=plan.config, renderer=renderer, versions=versions)
+        write_text(path, record.model_dump_json(indent=1))
+        return
+    record = read_dataset(plan.root)
+    if record.renderer != renderer:
+        raise UserError(
+            f"{plan.root} was made with renderer {record.renderer!r} and cannot be continued with {renderer!r}; "
+            f"use --renderer {record.renderer} or another --out"
+        )
+    old, new = record.config.model_dump(), plan.config.model_dump()
+    for key in sorted(set(old) - {"scenes", "renderer"}):
+        if old[key] != new[key]:
+            raise UserError(
+                f"{plan.root} was made with {key} = {old[key]!r}, not {new[key]!r}; "
+                "use the same value to continue it, or another --out"
+            )
+    if plan.config.scenes > record.config.scenes:
+        grown = record.config.model_copy(update={"scenes": plan.config.scenes})
+        write_text(path, record.model_copy(update={"config": grown}).model_dump_json(indent=1))
+
+
+def _run(plan: Plan, renderer: RendererName, missing: Sequence[int], report: Report) -> dict[int, str]:
+    workers = min(plan.workers, len(missing))
+    threads = max(1, len(os.sched_getaffinity(0)) // workers)
+    setup = WorkerSetup(plan.config, renderer, plan.root, plan.asset_folders, threads, os.getpid())
+    pool = ProcessPool(
+        max_workers=workers,
+        max_tasks=SCENES_A_WORKER,
+        initializer=start_worker,
+        initargs=(setup,),
+        context=multiprocessing.get_context("spawn"),
+    )
+    limit = _timeout(plan.config)
+    futures = {pool.schedule(run_scene, args=(index,), timeout=limit): index for index in missing}
+    try:
+        failures = _collect(plan, futures, report)
+        pool.close()
+        pool.join()
+    except BaseException:
+        pool.stop()
+        pool.join()
+        raise
+    return failures
+
+
+def _timeout(config: DatasetConfig) -> float:
+    renders = config.views * (1 + 2 * config.insertable)
+    megasamples = config.width * config.height * config.spp * renders / 1e6
+    return LEAST_TIMEOUT + SECONDS_A_MEGASAMPLE * megasamples
+
+
+def _collect(plan: Plan, futures: dict[ProcessFuture, int], report: Report) -> dict[int, str]:
+    """Wait for all scenes, reporting progress by the views that lie on disk."""
+    failures: dict[int, str] = {}
+    waiting = dict(futures)
+    total = len(futures) * plan.config.views
+    while waiting:
+        time.sleep(0.2)
+        for future in [f for f in waiting if f.done()]:
+            index = waiting.pop(future)
+            if (reason := _failure(plan, index, future)) is not None:
+                failures[index] = reason
+        finished = (len(futures) - len(waiting)) * plan.config.views
+        in_work = sum(1 for _ in (plan.root / "work").glob("*/views/*.exr"))
+        report(min(finished + in_work, total), total)
+    return failures
+
+
+def _failure(plan: Plan, index: int, future: ProcessFuture) -> str | None:
+    """Return why a scene was not made, or None; what stops every scene (a full disk) is raised."""
+    where = f"seed {plan.config.seed}, log {log_path(plan.root, index)}"
+    try:
+        future.result()
+    except FutureTimeout:
+        return f"took longer than {_timeout(plan.config):.0f} s and was stopped ({where})"
+    except ProcessExpired as error:
+        return f"the worker died with exit code {error.exitcode} ({where})"
+    except DiskFullError:
+        raise
+    except UserError as error:
+        return f"{error} ({where})"
+    except Exception as error:
+        return f"{type(error).__name__}: {error} ({where})"
+    return None
+
+
+def _finish(root: Path) -> None:
+    """Bring the index and the list of assets up to date with the scenes that are there."""
+    shutil.rmtree(root / "work", ignore_errors=True)
+    logs = root / "logs"
+    if logs.is_dir() and not any(logs.iterdir()):
+        logs.rmdir()
+    write_index(root)
+    credits = {c.id: c for index in scene_indices(root) for c in read_scene(scene_dir(root, index)).assets}
+    record = read_dataset(root)
+    assets = tuple(credits[name] for name in sorted(credits))
+    write_text(root / "dataset.json", record.model_copy(update={"assets": assets}).model_dump_json(indent=1))

@@ -1,0 +1,37 @@
+"""Errors that a user can act on: the command line prints them as one line, without a traceback."""
+
+import contextlib
+import errno
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+FULL = 1 << 20  # bytes; native code reports a full disk in its own ways, so free space is looked at as well
+
+
+class UserError(RuntimeError):
+    """Something the user can mend; the message names the value or file, the allowed range and the remedy."""
+
+
+class StoreError(UserError):
+    """A file of a dataset is missing, truncated, damaged or of another version."""
+
+
+class DiskFullError(UserError):
+    """The output has no space left; what is finished is kept."""
+
+
+@contextlib.contextmanager
+def full_disk_told(folder: Path) -> Iterator[None]:
+    """Turn whatever a full disk under `folder` makes fail into `DiskFullError`."""
+    try:
+        yield
+    except UserError:
+        raise
+    except Exception as error:
+        stated = isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT)
+        if stated or shutil.disk_usage(folder).free < FULL:
+            raise DiskFullError(
+                f"{folder}: no space left; free some and run the same command again, finished scenes are kept"
+            ) from error
+        raise

@@ -1,0 +1,101 @@
+"""One stored view under any lighting, as a picture: the command `mix`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+from lights.conditions import random_condition
+from PIL import Image
+from pydantic import ValidationError
+
+from datagen import compose
+from datagen.errors import UserError
+from datagen.exposure import meter_condition, thumbnail
+from datagen.layers import Float32
+from datagen.records import SceneRecord
+from datagen.sheet import effect_picture
+from datagen.store import ViewData, read_scene, read_view, scene_dir, scene_indices
+from lights.spec import LightingCondition
+from lights.tonemap import to_display
+from scenes.streams import Streams
+
+
+@dataclass(frozen=True)
+class MixRequest:
+    """Which picture: a view of a scene, what to make of it, and the lighting of base and inserted object."""
+
+    root: Path
+    scene: int
+    view: int
+    what: str
+    condition: str
+    insert_condition: str
+    object: str | None
+
+
+def write_mix(request: MixRequest, out: Path) -> None:
+    """Make the picture and write it; raises `UserError` naming the value and those allowed."""
+    if out.suffix not in (".png", ".exr"):
+        raise UserError(f"--out {out}: the suffix must be .png or .exr")
+    folder = scene_dir(request.root, request.scene)
+    if request.scene not in scene_indices(request.root):
+        raise UserError(
+            f"--scene {request.scene} is not in {request.root}; it has {_short(scene_indices(request.root))}"
+        )
+    record = read_scene(folder)
+    if not 0 <= request.view < len(record.views):
+        raise UserError(f"--view {request.view} must be 0 to {len(record.views) - 1}")
+    name = request.object or record.scene.insertable[0]
+    if name not in record.scene.insertable:
+        raise UserError(f"--object {name} is not insertable; choose one of {list(record.scene.insertable)}")
+    view = read_view(folder / record.views[request.view].file)
+    base = find_condition(request.condition, record, view)
+    insert = find_condition(request.insert_condition, record, view)
+    picture = _picture(request.what, view, name, insert, base)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    if out.suffix == ".exr":
+        header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+        OpenEXR.File(header, {"RGB": np.ascontiguousarray(picture)}).write(str(out))
+    else:
+        shown = effect_picture(picture) if request.what == "effect" else to_display(picture)
+        Image.fromarray(shown).save(out)
+
+
+def find_condition(text: str, record: SceneRecord, view: ViewData) -> LightingCondition:
+    """Resolve a condition's name, a JSON file or `random:SEED` (metered on the view)."""
+    if text.startswith("random:"):
+        seed = text.removeprefix("random:")
+        if not seed.isdecimal():
+            raise UserError(f"condition {text!r}: the seed must be a whole number of 0 or more")
+        rng = Streams(int(seed), record.index)("mix")
+        drawn = random_condition(rng, record.rig, f"random_{seed}")
+        return meter_condition(drawn, view.lights, [thumbnail(view.variants["all"])])
+    if text in (names := [condition.name for condition in record.conditions]):
+        return record.condition(text)
+    path = Path(text)
+    if not path.is_file():
+        raise UserError(f"condition {text!r} is neither a file nor random:SEED nor one of {names}")
+    try:
+        condition = LightingCondition.from_json(path.read_text())
+    except (ValidationError, UnicodeDecodeError) as error:
+        raise UserError(f"{path} is not a lighting condition: {str(error).splitlines()[0]}") from None
+    if unknown := set(condition.gains) - set(view.lights):
+        raise UserError(f"{path}: unknown lights {sorted(unknown)}; the scene has {list(view.lights)}")
+    return condition
+
+
+def _picture(what: str, view: ViewData, name: str, insert: LightingCondition, base: LightingCondition) -> Float32:
+    match what:
+        case "target":
+            return compose.target(view, base)
+        case "background":
+            return compose.background(view, name, base)
+        case "composite":
+            return compose.composite(view, name, insert=insert, base=base)
+        case _:
+            return compose.effect(view, name, base)
+
+
+def _short(indices: list[int]) -> str:
+    return f"{indices[0]} to {indices[-1]}" if indices else "none"

@@ -1,0 +1,101 @@
+"""What is written beside the pictures: `scene.json` and `dataset.json`, as validated records."""
+
+from typing import Annotated, Any
+
+from pydantic import Field, model_validator
+
+from datagen.backends import RendererName
+from datagen.config import DatasetConfig
+from lights.spec import LightingCondition, LightRig
+from scenes.frozen import Frozen, Matrix4
+from scenes.spec import SceneSpec
+
+SCHEMA_VERSION = 1
+
+
+class Schema(Frozen):
+    """A record that refuses to be read as another schema version."""
+
+    schema_version: int = SCHEMA_VERSION
+
+    @model_validator(mode="before")
+    @classmethod
+    def _known_version(cls, data: Any) -> Any:
+        version = data.get("schema_version", SCHEMA_VERSION) if isinstance(data, dict) else SCHEMA_VERSION
+        if version != SCHEMA_VERSION:
+            raise ValueError(f"schema version {version} cannot be read; this program reads {SCHEMA_VERSION}")
+        return data
+
+
+class AssetCredit(Frozen):
+    """An asset that was used, with what its licence asks for."""
+
+    id: str
+    pack: str
+    name: str
+    creator: str
+    licence: str
+
+
+class ViewRecord(Frozen):
+    """One view's file and camera, and how well the renderer's own picture agrees with the sum of layers.
+
+    `K` is in pixels; `c2w` is camera-to-world with OpenGL axes, metres. `additivity` is the largest
+    |sum of layers - combined| / (combined + mean) before denoising; `energy` is mean(sum of stored layers) /
+    mean(combined).
+    """
+
+    file: str
+    file_sha256: str
+    bytes: int
+    width: int
+    height: int
+    K: tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+    c2w: Matrix4
+    additivity: float
+    energy: float
+
+
+class SceneRecord(Schema):
+    """Everything about one scene: `scenes/000123/scene.json`.
+
+    `attempt` counts the draws that were thrown away because a check failed; `conditions` carry metered exposures.
+    """
+
+    seed: int
+    index: Annotated[int, Field(ge=0)]
+    attempt: Annotated[int, Field(ge=0)]
+    renderer: RendererName
+    scene: SceneSpec
+    scene_sha256: str
+    rig: LightRig
+    rig_sha256: str
+    conditions: tuple[LightingCondition, ...]
+    views: tuple[ViewRecord, ...]
+    assets: tuple[AssetCredit, ...]
+
+    @model_validator(mode="after")
+    def _hashes_hold(self) -> "SceneRecord":
+        for name, spec, stated in (
+            ("scene", self.scene, self.scene_sha256),
+            ("rig", self.rig, self.rig_sha256),
+        ):
+            if spec.sha256() != stated:
+                raise ValueError(f"{name}_sha256 is {stated[:12]}… but the {name} hashes to {spec.sha256()[:12]}…")
+        return self
+
+    def condition(self, name: str) -> LightingCondition:
+        """Return the lighting condition of that name; raises `KeyError` naming those there are."""
+        for condition in self.conditions:
+            if condition.name == name:
+                return condition
+        raise KeyError(f"no condition {name!r}; there are {[c.name for c in self.conditions]}")
+
+
+class DatasetRecord(Schema):
+    """What a dataset was made with: `dataset.json`."""
+
+    config: DatasetConfig
+    renderer: RendererName
+    versions: dict[str, str]
+    assets: tuple[AssetCredit, ...] = ()

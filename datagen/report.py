@@ -1,0 +1,87 @@
+"""What the commands print: progress with rate and time left, verification tables."""
+
+import contextlib
+import json
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from datagen.verify import CHECKS, Fault
+
+PLAIN_INTERVAL = 15.0  # seconds between progress lines where there is no terminal
+
+
+@contextlib.contextmanager
+def progress(unit: str) -> Iterator[Callable[[float, float], None]]:
+    """Show progress as a bar on a terminal, as a line now and then elsewhere; yields `report(done, total)`."""
+    console = Console(stderr=True)
+    start = time.monotonic()
+    if not console.is_terminal:
+        yield _plain_report(console, unit, start)
+        return
+    columns = (
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.description}"),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console) as bar:
+        task = bar.add_task(unit, total=None)
+
+        def report(done: float, total: float) -> None:
+            rate = done / max(time.monotonic() - start, 1e-9)
+            bar.update(task, completed=done, total=total, description=f"{unit}, {rate:.2f}/s")
+
+        yield report
+
+
+def _plain_report(console: Console, unit: str, start: float) -> Callable[[float, float], None]:
+    last = start
+
+    def report(done: float, total: float) -> None:
+        nonlocal last
+        now = time.monotonic()
+        if now - last < PLAIN_INTERVAL and done < total:
+            return
+        last = now
+        rate = done / max(now - start, 1e-9)
+        left = f"{(total - done) / rate:.0f} s left" if rate > 0 else "time left unknown"
+        console.print(f"{done:.0f}/{total:.0f} {unit}, {rate:.2f}/s, {left}", highlight=False)
+
+    return report
+
+
+def print_verification(root: Path, results: Iterable[tuple[int, list[Fault]]], *, as_json: bool) -> int:
+    """Print what was checked and return the exit code: 1 on any fault or where there is no scene."""
+    checked = list(results)
+    faults = [fault for _, found in checked for fault in found]
+    if as_json:
+        print(json.dumps({"scenes": len(checked), "faults": [asdict(fault) for fault in faults]}, indent=1))
+    else:
+        _print_table(root, checked)
+    if not checked and not as_json:
+        print(f"{root}: no finished scene")
+    return 1 if faults or not checked else 0
+
+
+def _print_table(root: Path, checked: list[tuple[int, list[Fault]]]) -> None:
+    table = Table(title=f"{root}: {len(checked)} scenes")
+    table.add_column("scene", justify="right")
+    for check in CHECKS:
+        table.add_column(check)
+    for index, found in checked:
+        counts = [sum(fault.check == check for fault in found) for check in CHECKS]
+        table.add_row(str(index), *("ok" if n == 0 else f"[red]{n} fault(s)" for n in counts))
+    console = Console()
+    console.print(table)
+    for _, found in checked:
+        for fault in found:
+            where = f"scene {fault.scene}" + ("" if fault.view is None else f", view {fault.view}")
+            console.print(f"{where}: {fault.check}: {fault.message}", markup=False, highlight=False)

@@ -1,0 +1,92 @@
+"""Contact sheets: scenes x (background, composite, target, depth, effect), tone-mapped for the eye."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw
+
+from datagen import compose
+from datagen.layers import Float32
+from datagen.records import SceneRecord
+from datagen.store import read_scene, read_view
+from lights.spec import LightingCondition
+from lights.tonemap import to_display
+
+COLUMNS = ("background", "composite", "target", "z_depth", "effect")
+MARGIN, HEADER = 6, 20
+Pixels = NDArray[np.uint8]
+
+
+def depth_picture(z_depth: Float32) -> Pixels:
+    """Show planar depth as grey, near bright, (H, W, 3) uint8; pixels without geometry are black."""
+    seen = z_depth > 0
+    if not seen.any():
+        return np.zeros((*z_depth.shape, 3), np.uint8)
+    near, far = np.percentile(z_depth[seen], [1, 95])
+    grey = np.clip(1.0 - 0.85 * (z_depth - near) / max(far - near, 1e-6), 0.1, 1.0) * seen
+    return np.repeat((grey * 255).astype(np.uint8)[..., None], 3, axis=2)
+
+
+def effect_picture(effect: Float32) -> Pixels:
+    """Show an exposed, signed difference about middle grey, (H, W, 3) uint8: shadows dark, glow bright."""
+    scaled = np.tanh(effect * 1.5) * 0.5 + 0.5
+    return (scaled * 255).round().astype(np.uint8)
+
+
+def two_conditions(record: SceneRecord, shift: int) -> tuple[LightingCondition, LightingCondition]:
+    """Choose the lighting of the inserted object and of the base picture, unlike each other."""
+    count = len(record.conditions)
+    base = record.conditions[shift % count]
+    insert = record.conditions[(shift + max(1, count // 2)) % count]
+    return insert, base
+
+
+def scene_row(folder: Path, record: SceneRecord, *, view: int, shift: int) -> list[Pixels]:
+    """Make one row of pictures in the order of `COLUMNS`, each (H, W, 3) uint8."""
+    data = read_view(folder / record.views[view].file)
+    largest = max(data.coverage, key=lambda name: float(data.coverage[name].sum()))
+    insert, base = two_conditions(record, shift)
+    return [
+        to_display(compose.background(data, largest, base)),
+        to_display(compose.composite(data, largest, insert=insert, base=base)),
+        to_display(compose.target(data, base)),
+        depth_picture(data.geometry.z_depth),
+        effect_picture(compose.effect(data, largest, base)),
+    ]
+
+
+def save_preview(folder: Path, record: SceneRecord) -> None:
+    """Write `preview.png`: four views from distant to close, with all lights on."""
+    lit = next((c for c in record.conditions if len(c.gains) == len(record.rig.lights)), record.conditions[-1])
+    views = np.unique(np.linspace(0, len(record.views) - 1, 4).round().astype(int))
+    pictures = [to_display(compose.target(read_view(folder / record.views[v].file), lit)) for v in views]
+    image = Image.fromarray(np.concatenate(pictures, axis=1))
+    image.thumbnail((1024, 256))
+    image.save(folder / "preview.png")
+
+
+def contact_sheet(folders: Iterable[Path], *, cell: int = 256) -> Image.Image:
+    """Lay out one row a scene; every scene shows another view and another pair of lightings."""
+    rows = []
+    for number, folder in enumerate(folders):
+        record = read_scene(folder)
+        view = (len(record.views) * (2 * number + 1) // 5) % len(record.views)
+        rows.append((record, view, scene_row(folder, record, view=view, shift=number)))
+    height, width = rows[0][2][0].shape[:2]
+    cell_h = round(cell * height / width)
+    size = (MARGIN + len(COLUMNS) * (cell + MARGIN), HEADER + len(rows) * (cell_h + HEADER))
+    sheet = Image.new("RGB", size, "white")
+    draw = ImageDraw.Draw(sheet)
+    for column, title in enumerate(COLUMNS):
+        draw.text((MARGIN + column * (cell + MARGIN), 4), title, fill="black")
+    for row, (record, view, pictures) in enumerate(rows):
+        top = HEADER + row * (cell_h + HEADER)
+        for column, picture in enumerate(pictures):
+            scaled = Image.fromarray(picture).resize((cell, cell_h), Image.Resampling.LANCZOS)
+            sheet.paste(scaled, (MARGIN + column * (cell + MARGIN), top))
+        insert, base = two_conditions(record, row)
+        caption = f"scene {record.index}, view {view}: object lit by {insert.name}, picture by {base.name}"
+        draw.text((MARGIN, top + cell_h + 2), caption, fill="gray")
+    return sheet

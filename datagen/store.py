@@ -1,0 +1,199 @@
+"""The native layout: the only code that knows how a dataset lies on disk.
+
+    dataset.json                      configuration, renderer, versions, licences
+    index.parquet                     a row a scene
+    scenes/000123/scene.json          SceneRecord
+    scenes/000123/preview.png
+    scenes/000123/views/03.exr        one multi-part OpenEXR a view
+
+Parts of a view: `all`, `without_<object>`, `foreground_<object>` (layers, channels `<variant>.<light>.R|G|B`),
+`combined` (`combined.R|G|B`, the renderer's own all-lights picture, raw), and `geometry`.
+"""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+import OpenEXR
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from datagen.errors import StoreError
+from datagen.layers import Float32, GeometryBuffers
+from datagen.records import DatasetRecord, SceneRecord
+
+_Record = TypeVar("_Record", SceneRecord, DatasetRecord)
+COMPRESSION = OpenEXR.ZIP_COMPRESSION
+HALF_MAX = 65504.0
+
+
+@dataclass(frozen=True)
+class ViewData:
+    """All that is stored of one view.
+
+    lights: names, in layer order; variants: `all`, `without_<object>`, `foreground_<object>` →
+    (L, H, W, 3) float32 linear radiance; coverage: object → (H, W) float32 in [0, 1]; combined (H, W, 3).
+    """
+
+    lights: tuple[str, ...]
+    variants: Mapping[str, Float32]
+    coverage: Mapping[str, Float32]
+    geometry: GeometryBuffers
+    combined: Float32 = field(repr=False)
+
+
+def scene_dir(root: Path, index: int) -> Path:
+    """Return a scene's folder."""
+    return root / "scenes" / f"{index:06d}"
+
+
+def view_file(view: int) -> str:
+    """Return a view's file name inside its scene's folder."""
+    return f"views/{view:02d}.exr"
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file under a temporary name, then rename it."""
+    temporary = path.with_name(path.name + ".tmp")
+    temporary.write_text(text)
+    temporary.replace(path)
+
+
+def file_sha256(path: Path) -> str:
+    """Hash a file's bytes (64 hex digits)."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def write_view(path: Path, view: ViewData) -> None:
+    """Write one view as a multi-part OpenEXR file; radiance as half float, or float where half would overflow."""
+    parts = [_layers_part(variant, view.lights, layers) for variant, layers in view.variants.items()]
+    parts.append(_part("combined", _color_channels("combined", _radiance(view.combined))))
+    parts.append(_part("geometry", _geometry_channels(view.geometry, view.coverage)))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    OpenEXR.File(parts).write(str(path))
+
+
+def read_view(path: Path) -> ViewData:
+    """Read one view back; raises `StoreError` naming the file where it is missing, truncated or foreign."""
+    channels = _read_channels(path)
+    groups: dict[str, dict[str, None]] = {}
+    for name in channels:
+        variant, _, rest = name.partition(".")
+        if rest.count(".") == 1:
+            groups.setdefault(variant, {})[rest.split(".")[0]] = None
+    try:
+        lights = tuple(sorted(groups["all"]))
+        variants = {
+            variant: np.stack([_color(channels, f"{variant}.{light}") for light in lights]) for variant in groups
+        }
+        return ViewData(
+            lights=lights,
+            variants=variants,
+            coverage={
+                name[len("coverage_") : -2]: channels[name].astype(np.float32)
+                for name in channels
+                if name.startswith("coverage_")
+            },
+            geometry=_geometry(channels),
+            combined=_color(channels, "combined"),
+        )
+    except KeyError as error:
+        raise StoreError(f"{path}: channel {error} is missing; the file is not a view of this layout") from None
+
+
+def read_scene(folder: Path) -> SceneRecord:
+    """Read `scene.json` of a scene's folder; raises `StoreError` naming the file and the reason."""
+    return _read_record(folder / "scene.json", SceneRecord)
+
+
+def read_dataset(root: Path) -> DatasetRecord:
+    """Read `dataset.json`; raises `StoreError` naming the file and the reason."""
+    return _read_record(root / "dataset.json", DatasetRecord)
+
+
+def scene_indices(root: Path) -> list[int]:
+    """List the finished scenes of a dataset in order."""
+    folder = root / "scenes"
+    if not folder.is_dir():
+        return []
+    return sorted(int(p.name) for p in folder.iterdir() if p.name.isdigit() and (p / "scene.json").is_file())
+
+
+def _read_record(path: Path, kind: type[_Record]) -> _Record:
+    try:
+        return kind.from_json(path.read_text())
+    except FileNotFoundError:
+        raise StoreError(f"{path} is missing: not a dataset, or not finished") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise StoreError(f"{path} cannot be read: {error}") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        raise StoreError(f"{path} is damaged or of another version: {key or 'content'}: {first['msg']}") from None
+
+
+def _radiance(values: Float32) -> NDArray[np.floating]:
+    return values.astype(np.float16) if float(values.max(initial=0.0)) <= HALF_MAX else values
+
+
+def _color_channels(prefix: str, image: NDArray[np.floating]) -> dict[str, NDArray[np.generic]]:
+    return {f"{prefix}.{c}": np.ascontiguousarray(image[..., i]) for i, c in enumerate("RGB")}
+
+
+def _part(name: str, channels: Mapping[str, NDArray[np.generic]]) -> OpenEXR.Part:
+    header = {"compression": COMPRESSION, "type": OpenEXR.scanlineimage}
+    return OpenEXR.Part(header, dict(channels), name)
+
+
+def _layers_part(variant: str, lights: tuple[str, ...], layers: Float32) -> OpenEXR.Part:
+    channels: dict[str, NDArray[np.generic]] = {}
+    for light, layer in zip(lights, layers, strict=True):
+        channels |= _color_channels(f"{variant}.{light}", _radiance(layer))
+    return _part(variant, channels)
+
+
+def _geometry_channels(geometry: GeometryBuffers, coverage: Mapping[str, Float32]) -> dict[str, NDArray[np.generic]]:
+    half = np.float16
+    return {
+        "z_depth.Z": geometry.z_depth.astype(np.float32),
+        **{
+            f"normal_world.{c}": np.ascontiguousarray(geometry.normal_world[..., i], dtype=half)
+            for i, c in enumerate("XYZ")
+        },
+        **_color_channels("albedo", geometry.albedo.astype(half)),
+        "roughness.Y": geometry.roughness.astype(half),
+        "metallic.Y": geometry.metallic.astype(half),
+        "instance_id.ID": geometry.instance_id.astype(np.uint32),
+        "environment.A": geometry.environment.astype(half),
+        **{f"coverage_{name}.A": alpha.astype(half) for name, alpha in coverage.items()},
+    }
+
+
+def _read_channels(path: Path) -> dict[str, NDArray[np.generic]]:
+    if not path.is_file():
+        raise StoreError(f"{path} is missing")
+    try:
+        parts = OpenEXR.File(str(path), separate_channels=True).parts
+        return {name: channel.pixels for part in parts for name, channel in part.channels.items()}
+    except Exception as error:  # the binding raises bare RuntimeError and others for damaged files
+        raise StoreError(f"{path} cannot be decoded (truncated or damaged): {error}") from None
+
+
+def _color(channels: Mapping[str, NDArray[np.generic]], prefix: str) -> Float32:
+    return np.stack([channels[f"{prefix}.{c}"] for c in "RGB"], axis=-1).astype(np.float32)
+
+
+def _geometry(channels: Mapping[str, NDArray[np.generic]]) -> GeometryBuffers:
+    return GeometryBuffers(
+        z_depth=channels["z_depth.Z"].astype(np.float32),
+        normal_world=np.stack([channels[f"normal_world.{c}"] for c in "XYZ"], axis=-1).astype(np.float32),
+        albedo=_color(channels, "albedo"),
+        roughness=channels["roughness.Y"].astype(np.float32),
+        metallic=channels["metallic.Y"].astype(np.float32),
+        instance_id=channels["instance_id.ID"].astype(np.uint16),
+        environment=channels["environment.A"].astype(np.float32),
+    )

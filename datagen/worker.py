@@ -1,0 +1,88 @@
+"""What runs inside a worker process: one renderer, one scene after the other, output into a log per scene."""
+
+import contextlib
+import os
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from datagen.backends import RendererName, open_backend
+from datagen.config import DatasetConfig
+from datagen.errors import UserError
+from datagen.produce import Maker, make_scene
+from scenes.assets.library import AssetLibrary
+
+_maker: Maker | None = None
+
+
+@dataclass(frozen=True)
+class WorkerSetup:
+    """What a worker needs to start; picklable, renderer-free."""
+
+    config: DatasetConfig
+    renderer: RendererName
+    root: Path
+    asset_folders: tuple[Path, ...]
+    threads: int
+    parent: int
+
+
+def log_path(root: Path, index: int) -> Path:
+    """Return where a scene's log lies while it is made, and stays if it fails."""
+    return root / "logs" / f"{index:06d}.log"
+
+
+def start_worker(setup: WorkerSetup) -> None:
+    """Open the renderer once for all scenes of this process."""
+    global _maker
+    threading.Thread(target=_die_with, args=(setup.parent,), daemon=True).start()
+    library = AssetLibrary(folders=setup.asset_folders)
+    # Never closed: the renderer lives as long as the process.
+    backend = open_backend(setup.renderer, library).__enter__()
+    _maker = Maker(setup.config, setup.renderer, setup.root, library, backend, setup.threads)
+
+
+def run_scene(index: int) -> None:
+    """Make one scene in this worker; what it prints goes to the scene's log, which stays only on failure."""
+    assert _maker is not None
+    path = log_path(_maker.root, index)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with _output_to(path):
+        try:
+            make_scene(_maker, index)
+        except UserError:
+            raise
+        except BaseException:
+            traceback.print_exc()
+            raise
+    path.unlink(missing_ok=True)
+
+
+def _die_with(parent: int) -> None:
+    """End this process soon after its parent has gone: an orphan must not go on writing."""
+    while os.getppid() == parent:
+        time.sleep(0.5)
+    os._exit(1)
+
+
+@contextlib.contextmanager
+def _output_to(path: Path) -> Iterator[None]:
+    """Send file descriptors 1 and 2 to a file: renderers print from native code."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    saved = os.dup(1), os.dup(2)
+    with path.open("w") as log:
+        os.dup2(log.fileno(), 1)
+        os.dup2(log.fileno(), 2)
+    try:
+        yield
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        for target, source in enumerate(saved, start=1):
+            os.dup2(source, target)
+            os.close(source)

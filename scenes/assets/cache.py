@@ -1,0 +1,50 @@
+"""The asset cache: where it lies, and writing into it so that several processes may do so at once."""
+
+import hashlib
+import json
+import os
+import uuid
+from collections.abc import Callable
+from pathlib import Path
+
+from scenes.assets.info import AssetError
+
+
+def default_cache() -> Path:
+    """Return `$MULTILIGHT_CACHE`, else `~/.cache/multilight`."""
+    chosen = os.environ.get("MULTILIGHT_CACHE")
+    return Path(chosen).expanduser() if chosen else Path.home() / ".cache" / "multilight"
+
+
+def write_once(path: Path, write: Callable[[Path], None]) -> Path:
+    """Make `path` by writing under a temporary name and renaming; does nothing where it is there already.
+
+    Raises `AssetError` where the cache cannot be written to.
+    """
+    if path.exists():
+        return path
+    temporary = path.with_name(f".{uuid.uuid4().hex}.tmp{path.suffix}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write(temporary)
+        temporary.replace(path)
+    except OSError as error:
+        raise AssetError(
+            f"cannot write {path}: {error.strerror or error}; free some space or set MULTILIGHT_CACHE"
+        ) from error
+    finally:
+        temporary.unlink(missing_ok=True)
+    return path
+
+
+def sources_key(*files: str) -> str:
+    """Hash source files (12 hex digits), so that what old code converted is not taken for new."""
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(Path(file).read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def write_json(path: Path, value: object) -> None:
+    """Write a value as JSON, indented, keys in order."""
+    path.write_text(json.dumps(value, indent=1, sort_keys=True) + "\n", encoding="utf-8")

@@ -1,0 +1,92 @@
+"""Loads assets for real and names what is wrong with them."""
+
+from collections.abc import Iterator
+from typing import get_args
+
+import numpy as np
+from PIL import Image, UnidentifiedImageError
+
+from scenes.assets.environments import read_environment
+from scenes.assets.info import AssetError, AssetInfo, AssetRole
+from scenes.assets.library import AssetLibrary
+from scenes.meshes import Mesh
+from scenes.spec import Material
+
+LARGEST = {"object": 3.0, "table": 6.0}
+"""Longest side [m] of what may pass for an object or a table."""
+MOST_FACES = 400_000
+
+
+def check_assets(library: AssetLibrary, pack: str | None = None) -> list[tuple[str, str]]:
+    """Load every asset of a pack (None: of all packs) and return (asset id, problem) for each fault found."""
+    return [
+        (info.id, problem)
+        for role in get_args(AssetRole)
+        for info in library.list(role)
+        if pack is None or info.pack == pack
+        for problem in _problems(library, info)
+    ]
+
+
+def _problems(library: AssetLibrary, info: AssetInfo) -> Iterator[str]:
+    try:
+        match info.role:
+            case "object" | "table":
+                yield from _mesh_problems(library, info, library.mesh(info.id))
+            case "texture":
+                yield from _image_problems(library, info.id)
+                if info.normal_map is not None:
+                    yield from _image_problems(library, info.normal_map)
+            case "environment":
+                image = read_environment(library.environment_path(info.id))
+                if image.shape[1] != 2 * image.shape[0]:
+                    yield f"is {image.shape[1]}x{image.shape[0]} pixels, expected twice as wide as high"
+                if image.min() < 0:
+                    yield f"holds negative radiance {image.min():.3g}"
+    except AssetError as error:
+        yield str(error)
+
+
+def _mesh_problems(library: AssetLibrary, info: AssetInfo, mesh: Mesh) -> Iterator[str]:
+    for part in mesh.parts:
+        arrays = (part.vertices, part.normals, part.uv)
+        if not all(np.isfinite(array).all() for array in arrays):
+            yield f"part {part.name!r} has values that are not finite"
+        elif part.faces.min() < 0 or part.faces.max() >= len(part.vertices):
+            yield f"part {part.name!r} has faces that name vertices which are not there"
+        elif np.abs(np.linalg.norm(part.normals, axis=1) - 1).max() > 1e-3:
+            yield f"part {part.name!r} has normals that are not of unit length"
+    low, high = mesh.bounds()
+    size = high - low
+    if not 0.005 <= size.max() <= LARGEST[info.role]:
+        yield f"is {size.max():.4g} m large, expected 0.005 to {LARGEST[info.role]:g}"
+    if info.size is not None and np.abs(size - info.size).max() > 1e-3 + 0.01 * size.max():
+        yield f"measures {np.round(size, 4).tolist()} m, but is listed with {list(info.size)}"
+    if abs(low[2]) > 1e-4 or np.abs((low + high)[:2]).max() > 1e-3:
+        yield "does not stand on z = 0, centred in x and y"
+    faces = sum(len(part.faces) for part in mesh.parts)
+    if faces > MOST_FACES:
+        yield f"has {faces} faces, more than {MOST_FACES}"
+    if info.emissive_part is not None and info.emissive_part not in [part.name for part in mesh.parts]:
+        yield f"has no part {info.emissive_part!r} that may glow; its parts are {[p.name for p in mesh.parts]}"
+    for material in {part.material.canonical_json(): part.material for part in mesh.parts}.values():
+        yield from _material_problems(library, material)
+
+
+def _material_problems(library: AssetLibrary, material: Material) -> Iterator[str]:
+    textures = (material.base_color_texture, material.roughness_texture, material.normal_texture)
+    for image in sorted({texture.image for texture in textures if texture is not None}):
+        yield from _image_problems(library, image)
+
+
+def _image_problems(library: AssetLibrary, image: str) -> Iterator[str]:
+    try:
+        path = library.texture_path(image)
+        with Image.open(path) as picture:
+            picture.load()
+            if min(picture.size) < 2:
+                yield f"texture {image!r} is only {picture.width}x{picture.height} pixels"
+    except AssetError as error:
+        yield str(error)
+    except (OSError, UnidentifiedImageError, SyntaxError) as error:
+        yield f"texture {image!r} cannot be decoded: {error}"

@@ -1,0 +1,183 @@
+"""Environment maps: bpy's own and those of the npm package `@pmndrs/assets`, cleaned into the cache."""
+
+import base64
+import importlib.util
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+from numpy.typing import NDArray
+
+from scenes.assets.cache import write_once
+from scenes.assets.info import AssetError, AssetInfo
+from scenes.meshes import Mesh
+
+LARGEST_HALF = 65504.0
+
+
+@dataclass(frozen=True)
+class _Map:
+    """Where a map was taken, and what it is good for."""
+
+    category: str
+    place: str
+
+
+# Places carry Poly Haven's names where known; both studio maps show the same room.
+BPY_MAPS = {
+    "city": _Map("outdoor", "portland_landing_pad"),
+    "courtyard": _Map("outdoor", "courtyard"),
+    "forest": _Map("outdoor", "ninomaru_teien"),
+    "interior": _Map("indoor", "hotel_room"),
+    "night": _Map("night", "moonless_golf"),
+    "studio": _Map("studio", "studio_small"),
+    "sunrise": _Map("outdoor", "spruit_sunrise"),
+    "sunset": _Map("outdoor", "venice_sunset"),
+}
+PMNDRS_MAPS = {
+    "apartment": _Map("indoor", "lebombo"),
+    "bridge": _Map("indoor", "adams_place_bridge"),
+    "city": _Map("outdoor", "potsdamer_platz"),
+    "dawn": _Map("outdoor", "kiara_dawn"),
+    "esplanade": _Map("indoor", "royal_esplanade"),
+    "forest": _Map("outdoor", "forest_slope"),
+    "hall": _Map("indoor", "dancing_hall"),
+    "lab": _Map("indoor", "lab"),
+    "lobby": _Map("indoor", "st_fagans_interior"),
+    "night": _Map("night", "dikhololo_night"),
+    "park": _Map("outdoor", "rooitou_park"),
+    "sky": _Map("outdoor", "sky"),
+    "studio": _Map("studio", "studio_small"),
+    "sunrise": _Map("outdoor", "spruit_sunrise"),
+    "sunset": _Map("outdoor", "piazza_san_marco"),
+    "venice": _Map("outdoor", "venice_dawn"),
+    "warehouse": _Map("indoor", "empty_warehouse"),
+    "workshop": _Map("indoor", "workshop"),
+}
+
+
+def _infos(pack: str, maps: dict[str, _Map], names: list[str], prefix: str) -> list[AssetInfo]:
+    return [
+        AssetInfo(
+            id=f"{pack}/{prefix}{name}",
+            pack=pack,
+            role="environment",
+            name=name,
+            category=maps[name].category,
+            licence="CC0-1.0",
+            creator="Poly Haven",
+            place=maps[name].place,
+        )
+        for name in names
+    ]
+
+
+def read_environment(path: Path) -> NDArray[np.float32]:
+    """Read an equirectangular EXR as (H, W, 3) float32; raises `AssetError` where it is broken or not finite."""
+    try:
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            channels = file.channels()
+            image = np.stack([channels[c].pixels for c in "RGB"], axis=-1).astype(np.float32)
+    except (OSError, RuntimeError, ValueError, KeyError, TypeError) as error:
+        raise AssetError(f"{path} is not a readable RGB EXR file: {error}") from error
+    if not np.isfinite(image).all():
+        raise AssetError(f"{path} holds NaN or infinity")
+    if not image.max() > 0:
+        raise AssetError(f"{path} is black")
+    return image
+
+
+def without_negatives(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Replace what down-sampling with negative lobes left below zero by the median of its valid neighbours.
+
+    image (H, W, 3); wraps around in azimuth. A pixel counts as one: a negative channel takes its others along.
+    """
+    bad = (image < 0).any(axis=-1)
+    if not bad.any():
+        return image
+    masked = np.where(bad[..., None], np.nan, image)
+    result = image.copy()
+    for y, x in np.argwhere(bad):
+        rows = slice(max(0, y - 2), y + 3)
+        near = masked[rows].take(range(x - 2, x + 3), axis=1, mode="wrap").reshape(-1, 3)
+        near = near[np.isfinite(near).all(axis=1)]
+        result[y, x] = np.median(near, axis=0) if len(near) else np.maximum(image[y, x], 0)
+    return result
+
+
+def clean_copy(source: Path, target: Path) -> Path:
+    """Write a non-negative half-float copy of an environment map, once."""
+
+    def write(path: Path) -> None:
+        image = np.clip(without_negatives(read_environment(source)), 0, LARGEST_HALF).astype(np.float16)
+        header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+        with OpenEXR.File(header, {"RGB": image}) as file:
+            file.write(str(path))
+
+    return write_once(target, write)
+
+
+def _bpy_folder() -> Path | None:
+    """Find bpy's own environment maps without importing bpy."""
+    spec = importlib.util.find_spec("bpy")
+    if spec is None or spec.origin is None:
+        return None
+    return next(iter(sorted(Path(spec.origin).parent.glob("*/datafiles/studiolights/world"))), None)
+
+
+def bpy_environments() -> list[AssetInfo]:
+    """List bpy's own maps; none where bpy is not installed."""
+    folder = _bpy_folder()
+    names = [name for name in BPY_MAPS if folder is not None and (folder / f"{name}.exr").is_file()]
+    return _infos("builtin", BPY_MAPS, names, "hdri-")
+
+
+def bpy_environment_path(name: str, cache: Path) -> Path:
+    """Return a cleaned copy of bpy's map `hdri-<name>`."""
+    folder = _bpy_folder()
+    if folder is None:
+        raise AssetError(f"environment 'builtin/{name}' comes with bpy, which is not installed")
+    source = folder / f"{name.removeprefix('hdri-')}.exr"
+    return clean_copy(source, cache / "environments" / "builtin" / f"{name}.exr")
+
+
+def decode_pmndrs(script: str) -> bytes:
+    """Take the EXR file out of a module of `@pmndrs/assets` (a base64 data URL); nothing in it is run."""
+    match = re.search(r"data:application/exr;base64,([A-Za-z0-9+/]+=*)", script)
+    if match is None:
+        raise AssetError("the module holds no base64 EXR data")
+    return base64.b64decode(match[1])
+
+
+class PmndrsPack:
+    """The fetched maps of `@pmndrs/assets`; `folder` holds one cleaned EXR file a map."""
+
+    def __init__(self, name: str, folder: Path) -> None:
+        self.name, self._folder = name, folder
+
+    def infos(self) -> list[AssetInfo]:
+        """List the maps that are there."""
+        return _infos(self.name, PMNDRS_MAPS, [n for n in PMNDRS_MAPS if self._file(n).is_file()], "")
+
+    def _file(self, name: str) -> Path:
+        return self._folder / f"{name}.exr"
+
+    def environment(self, name: str) -> Path:
+        """Return a map's file."""
+        if not self._file(name).is_file():
+            raise AssetError(f"{self._file(name)} is missing; run `multilight assets fetch {self.name}`")
+        return self._file(name)
+
+    def mesh_key(self, name: str) -> str:
+        """Raise: there are no models here."""
+        raise AssetError(f"{self.name}/{name} is not a model")
+
+    def mesh(self, name: str) -> Mesh:
+        """Raise: there are no models here."""
+        raise AssetError(f"{self.name}/{name} is not a model")
+
+    def texture(self, name: str) -> Path:
+        """Raise: there are no textures here."""
+        raise AssetError(f"{self.name}/{name} is not a texture")

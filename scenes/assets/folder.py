@@ -1,0 +1,259 @@
+"""A user's folder of GLB, glTF or OBJ models as a pack, with an optional table `assets.csv`.
+
+Columns of the table: `file` (relative to the folder) and, all optional, `id`, `role` (object or table),
+`category`, `licence`, `metres_per_unit` (default 1), `up_axis` (Y or Z; default Y, as glTF prescribes). Without a
+table every model under the folder is used. Base colour, roughness, metallic and normal maps are kept; emission is
+ignored, since lights are given by the rig.
+"""
+
+import csv
+import hashlib
+import json
+import logging
+import re
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from PIL import Image
+
+from scenes.assets import cleaning
+from scenes.assets.cache import sources_key, write_json, write_once
+from scenes.assets.cleaning import Z_UP_FROM_Y_UP, RawPart, clean_mesh, extent, transformed
+from scenes.assets.finishes import linear, part_name
+from scenes.assets.info import AssetError, AssetInfo
+from scenes.meshes import Mesh
+from scenes.spec import Material, Texture
+
+SUFFIXES = (".glb", ".gltf", ".obj")
+COLUMNS = ("file", "id", "role", "category", "licence", "metres_per_unit", "up_axis")
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """One model of the folder."""
+
+    name: str
+    file: str
+    role: str = "object"
+    category: str = "object"
+    licence: str = "unknown"
+    metres_per_unit: float = 1.0
+    up_axis: str = "Y"
+
+
+class FolderPack:
+    """The models under `folder`; the pack carries the folder's name."""
+
+    def __init__(self, folder: Path, cache: Path) -> None:
+        if not folder.is_dir():
+            raise AssetError(f"{folder} is not a folder")
+        self._folder, self._cache = folder.resolve(), cache
+        self.name = _slug(self._folder.name)
+        self._key = sources_key(__file__, cleaning.__file__)
+
+    @cached_property
+    def _entries(self) -> dict[str, _Entry]:
+        table = self._folder / "assets.csv"
+        entries = _read_table(table) if table.is_file() else _scan(self._folder)
+        named: dict[str, _Entry] = {}
+        for entry in entries:
+            if entry.name in named:
+                raise AssetError(f"{self._folder}: two models get the id {entry.name!r}; give ids in assets.csv")
+            named[entry.name] = entry
+        return named
+
+    def infos(self) -> list[AssetInfo]:
+        """List the models; each is opened once to measure it, later calls read that from the cache.
+
+        Broken models are listed without a size, so that a check can name them.
+        """
+        return [self._info(entry) for entry in self._entries.values()]
+
+    def _info(self, entry: _Entry) -> AssetInfo:
+        index = self._cache / "index" / f"folder-{self.mesh_key(entry.name)}.json"
+
+        def write(path: Path) -> None:
+            low, high = self.mesh(entry.name).bounds().astype(float)
+            write_json(path, [round(float(v), 5) for v in high - low])
+
+        try:
+            x, y, z = json.loads(write_once(index, write).read_text(encoding="utf-8"))
+            size = (x, y, z)
+        except AssetError:
+            size = None
+        return AssetInfo(
+            id=f"{self.name}/{entry.name}",
+            pack=self.name,
+            role="table" if entry.role == "table" else "object",
+            name=entry.name,
+            category=entry.category,
+            licence=entry.licence,
+            creator=self.name,
+            size=size,
+        )
+
+    def mesh_key(self, name: str) -> str:
+        """Hash the code, the entry, and the file's size and time."""
+        entry = self._entries[name]
+        try:
+            state = (self._folder / entry.file).stat()
+            seen = f"{state.st_size} {state.st_mtime_ns}"
+        except OSError:
+            seen = "missing"
+        text = f"{self._key} {self._folder} {seen} {sorted(asdict(entry).items())}"
+        return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+    def mesh(self, name: str) -> Mesh:
+        """Convert a model; raises `AssetError` naming the file and the reason."""
+        entry = self._entries[name]
+        path = self._folder / entry.file
+        try:
+            parts = self._load(path)
+            turn = Z_UP_FROM_Y_UP if entry.up_axis == "Y" else np.eye(3)
+            parts = transformed(parts, turn * entry.metres_per_unit)
+            mesh = clean_mesh(parts)
+            low, high = extent(parts)
+        except AssetError:
+            raise
+        except Exception as error:  # trimesh raises whatever a broken file makes it stumble over
+            raise AssetError(f"{path} cannot be read: {type(error).__name__}: {error}") from error
+        largest = float((high - low).max())
+        if not 1e-3 < largest < 50:
+            raise AssetError(
+                f"{path} is {largest:.4g} m large, expected 0.001 to 50; set metres_per_unit in assets.csv"
+            )
+        return mesh
+
+    def _load(self, path: Path) -> list[RawPart]:
+        if not path.is_file():
+            raise AssetError(f"{path} is missing")
+        if path.suffix.lower() not in SUFFIXES:
+            raise AssetError(f"{path} is not one of {', '.join(SUFFIXES)}")
+        logger = logging.getLogger("trimesh")
+        level, logger.level = logger.level, logging.CRITICAL
+        try:
+            scene = trimesh.load_scene(path, process=False)
+        finally:
+            logger.level = level
+        parts = [self._part(geometry) for geometry in scene.dump() if isinstance(geometry, trimesh.Trimesh)]
+        if not parts:
+            raise AssetError(f"{path} holds no triangles")
+        return parts
+
+    def _part(self, geometry: Any) -> RawPart:
+        uv = getattr(geometry.visual, "uv", None)
+        given = "vertex_normals" in geometry._cache.cache
+        return RawPart(
+            self._material(geometry.visual, has_uv=uv is not None),
+            np.asarray(geometry.vertices, np.float64),
+            np.asarray(geometry.faces, np.int64),
+            np.asarray(geometry.vertex_normals, np.float64) if given else None,
+            None if uv is None else np.asarray(uv, np.float64),
+        )
+
+    def _material(self, visual: Any, *, has_uv: bool) -> Material:
+        """Translate trimesh's material (glTF metallic-roughness, or MTL) into ours."""
+        given = getattr(visual, "material", None)
+        if given is None:
+            return Material(name="material")
+        pbr = given if isinstance(given, trimesh.visual.material.PBRMaterial) else given.to_pbr()
+        factor = np.asarray(pbr.baseColorFactor if pbr.baseColorFactor is not None else (255,) * 4, np.float64)
+        factor = factor / 255 if factor.max() > 1 else factor
+        colour = tuple(float(np.clip(v, 0, 1)) for v in factor[:3])
+        textured = has_uv and pbr.baseColorTexture is not None
+        packed = pbr.metallicRoughnessTexture if has_uv else None
+        roughness = 1.0 if pbr.roughnessFactor is None else float(pbr.roughnessFactor)
+        metallic = 1.0 if pbr.metallicFactor is None else float(pbr.metallicFactor)
+        if packed is not None:
+            # glTF 2.0: green holds roughness, blue metallic; the spec has one metallic value a material.
+            channels = np.asarray(packed.convert("RGB"), np.float64)
+            metallic *= float(np.round(channels[..., 2].mean() / 255))
+        blend = pbr.alphaMode in ("BLEND", "MASK")
+        return Material(
+            name=part_name(str(pbr.name or "material")),
+            base_color=(colour[0], colour[1], colour[2]) if pbr is given else linear(colour),
+            base_color_texture=self._texture(pbr.baseColorTexture) if textured else None,
+            roughness=float(np.clip(roughness, 0, 1)),
+            roughness_texture=None if packed is None else self._texture(packed.convert("RGB").getchannel("G")),
+            metallic=float(np.clip(metallic, 0, 1)),
+            opacity=float(np.clip(factor[3], 0, 1)) if blend and not textured and len(factor) > 3 else 1.0,
+            opacity_from_alpha=bool(blend and textured and pbr.baseColorTexture.mode in ("RGBA", "LA")),
+            normal_texture=self._texture(pbr.normalTexture) if has_uv and pbr.normalTexture is not None else None,
+        )
+
+    def _texture(self, image: Image.Image) -> Texture:
+        """Keep a picture in the cache under the hash of its pixels."""
+        image = image if image.mode in ("L", "RGB", "RGBA") else image.convert("RGBA" if "A" in image.mode else "RGB")
+        digest = hashlib.sha256(f"{image.mode} {image.size}".encode() + image.tobytes()).hexdigest()[:32]
+        write_once(self._texture_file(digest), image.save)
+        return Texture(image=f"{self.name}/texture/{digest}")
+
+    def _texture_file(self, digest: str) -> Path:
+        return self._cache / "textures" / "folders" / f"{digest}.png"
+
+    def texture(self, name: str) -> Path:
+        """Return the PNG of a texture `texture/<hash>` that a model of this pack brought."""
+        match = re.fullmatch(r"texture/([0-9a-f]{32})", name)
+        if match is None or not self._texture_file(match[1]).is_file():
+            raise AssetError(f"no texture '{self.name}/{name}'; load the model that uses it first")
+        return self._texture_file(match[1])
+
+    def environment(self, name: str) -> Path:
+        """Raise: there are none here."""
+        raise AssetError(f"{self.name}/{name} is not an environment map")
+
+
+def _slug(text: str) -> str:
+    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-") or "folder"
+
+
+def _scan(folder: Path) -> list[_Entry]:
+    files = sorted(path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES and path.is_file())
+    relative = [path.relative_to(folder) for path in files]
+    return [_Entry(_slug(str(path.with_suffix(""))), str(path)) for path in relative]
+
+
+def _read_table(table: Path) -> list[_Entry]:
+    """Read `assets.csv`; raises `AssetError` naming the line and what is wrong with it."""
+    try:
+        with table.open(encoding="utf-8-sig", newline="") as file:
+            rows = list(csv.DictReader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise AssetError(f"{table} cannot be read: {error}") from error
+    result = []
+    for number, row in enumerate(rows, start=2):
+        unknown = [key for key in row if key not in COLUMNS]
+        if unknown or not row.get("file"):
+            problem = f"has unknown columns {unknown}" if unknown else "names no file"
+            raise AssetError(f"{table}, line {number}: {problem}; columns are {', '.join(COLUMNS)}")
+        result.append(_entry({key: value.strip() for key, value in row.items() if value}, f"{table}, line {number}"))
+    return result
+
+
+def _entry(row: dict[str, str], where: str) -> _Entry:
+    file = Path(row["file"])
+    if file.is_absolute() or ".." in file.parts:
+        raise AssetError(f"{where}: file {row['file']!r} must lie inside the folder")
+    try:
+        scale = float(row.get("metres_per_unit", "1"))
+    except ValueError:
+        scale = 0.0
+    if not 0 < scale < 1e6:
+        raise AssetError(f"{where}: metres_per_unit {row['metres_per_unit']!r} must be a number above 0")
+    if row.get("up_axis", "Y").upper() not in ("Y", "Z"):
+        raise AssetError(f"{where}: up_axis {row['up_axis']!r} must be Y or Z")
+    if row.get("role", "object") not in ("object", "table"):
+        raise AssetError(f"{where}: role {row['role']!r} must be object or table")
+    return _Entry(
+        name=_slug(row.get("id", str(file.with_suffix("")))),
+        file=str(file),
+        role=row.get("role", "object"),
+        category=row.get("category", "object"),
+        licence=row.get("licence", "unknown"),
+        metres_per_unit=scale,
+        up_axis=row.get("up_axis", "Y").upper(),
+    )

@@ -1,0 +1,33 @@
+"""What is known of an asset, and the one error that asset code raises."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+AssetRole = Literal["object", "table", "surrounding", "environment", "texture"]
+
+
+class AssetError(RuntimeError):
+    """An asset is missing or broken: names the asset, the file and the remedy."""
+
+
+@dataclass(frozen=True)
+class AssetInfo:
+    """What is known of an asset without opening it.
+
+    `category` is a word such as `mug`, `wood` or `indoor`. `size` (x, y, z) is in metres: a model's extent, or
+    the stretch (x, y, 0) that one repeat of a texture covers. `place` names the real place of an environment
+    map (splits go by place). `emissive_part` names the mesh part that may glow. `normal_map` is the id of the
+    tangent-space normal map that goes with a texture (resolved by `AssetLibrary.texture_path`, +Y up).
+    """
+
+    id: str
+    pack: str
+    role: AssetRole
+    name: str
+    category: str
+    licence: str
+    creator: str
+    size: tuple[float, float, float] | None = None
+    place: str | None = None
+    emissive_part: str | None = None
+    normal_map: str | None = None

@@ -1,0 +1,303 @@
+"""Built-in objects: vessels, toys and lamps made by formula, in real-world sizes, several variants of each."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from scenes.meshes import Mesh, MeshPart
+from scenes.primitives import (
+    Array,
+    Surface,
+    lathe,
+    merge,
+    rounded,
+    sphere,
+    tube,
+)
+from scenes.spec import Material, Rgb, Texture
+
+Rng = np.random.Generator
+Part = tuple[Surface, Material]
+
+GLAZES: tuple[Rgb, ...] = (
+    (0.80, 0.78, 0.72),
+    (0.07, 0.16, 0.24),
+    (0.36, 0.09, 0.05),
+    (0.10, 0.20, 0.12),
+    (0.62, 0.38, 0.10),
+    (0.03, 0.03, 0.035),
+    (0.45, 0.55, 0.58),
+    (0.55, 0.28, 0.22),
+)
+PAINTS: tuple[Rgb, ...] = (
+    (0.60, 0.05, 0.03),
+    (0.03, 0.13, 0.45),
+    (0.75, 0.42, 0.03),
+    (0.04, 0.28, 0.09),
+    (0.70, 0.68, 0.63),
+    (0.25, 0.08, 0.32),
+)
+METALS: tuple[Rgb, ...] = ((0.91, 0.92, 0.92), (0.95, 0.64, 0.54), (0.89, 0.72, 0.33), (0.56, 0.57, 0.58))
+CLEAR_TINTS: tuple[Rgb, ...] = ((0.98, 0.99, 0.99), (0.85, 0.95, 0.90), (0.90, 0.95, 0.99), (0.97, 0.93, 0.88))
+BOTTLE_TINTS: tuple[Rgb, ...] = ((0.98, 0.99, 0.99), (0.45, 0.78, 0.52), (0.82, 0.52, 0.20), (0.55, 0.74, 0.90))
+CERAMIC_TEXTURES = ("ceramic-speckled-cream", "ceramic-speckled-blue", "ceramic-speckled-stone")
+
+
+def pick(rng: Rng, colours: tuple[Rgb, ...]) -> Rgb:
+    """Draw one of the colours."""
+    return colours[int(rng.integers(len(colours)))]
+
+
+def tiled(name: str, size: float) -> Texture:
+    """Repeat a built-in texture every `size` metres over uv in metres."""
+    return Texture(image=f"builtin/{name}", repeat=(1 / size, 1 / size))
+
+
+def ceramic(rng: Rng) -> Material:
+    """Draw a glazed ceramic: plain, or speckled."""
+    coat = float(rng.uniform(0.4, 1.0))
+    roughness = float(rng.uniform(0.25, 0.55))
+    if rng.random() < 0.5:
+        texture = tiled(CERAMIC_TEXTURES[int(rng.integers(3))], 0.1)
+        return Material(
+            name="ceramic", base_color=(1, 1, 1), base_color_texture=texture, roughness=roughness, coat=coat
+        )
+    return Material(name="ceramic", base_color=pick(rng, GLAZES), roughness=roughness, coat=coat)
+
+
+def glass(rng: Rng, tints: tuple[Rgb, ...] = CLEAR_TINTS) -> Material:
+    """Draw a clear or tinted glass."""
+    return Material(name="glass", base_color=pick(rng, tints), roughness=0.01, transmission=1.0, ior=1.5)
+
+
+def metal(rng: Rng) -> Material:
+    """Draw steel, copper, brass or zinc, polished to brushed."""
+    roughness = float(rng.uniform(0.12, 0.38))
+    return Material(name="metal", base_color=pick(rng, METALS), metallic=1.0, roughness=roughness)
+
+
+def paint(rng: Rng, name: str = "paint") -> Material:
+    """Draw a painted or plastic surface."""
+    roughness, coat = float(rng.uniform(0.2, 0.5)), float(rng.choice([0.0, 0.6]))
+    return Material(name=name, base_color=pick(rng, PAINTS), roughness=roughness, coat=coat)
+
+
+def vessel(outer: Array, wall: float, *, lip: float = 0.5) -> Array:
+    """Close an outer profile (radius, z), bottom axis to rim, into a hollow shape of the given wall."""
+    edges = np.gradient(outer, axis=0)
+    normals = np.stack([edges[:, 1], -edges[:, 0]], -1)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    inner = (outer - wall * normals)[::-1]
+    floor = outer[0, 1] + wall
+    inner = inner[(inner[:, 0] > 1e-4) & (inner[:, 1] > floor + 1e-4)]
+    inner[:, 0] = np.maximum(inner[:, 0], 1e-3)
+    rim = outer[-1] - wall * normals[-1] / 2
+    angle = np.linspace(0, np.pi, 9)[1:-1, None]
+    along = np.array([-normals[-1, 1], normals[-1, 0]])
+    arc = rim + wall / 2 * (np.cos(angle) * normals[-1] + 2 * lip * np.sin(angle) * along)
+    end = np.array([[inner[-1, 0], floor], [0.0, floor]])
+    return np.concatenate([outer, arc, inner, end])
+
+
+def curve(points: list[tuple[float, float]], *, smooth: int = 48) -> Array:
+    """Run a monotone spline of height through (radius, z) points."""
+    from scipy.interpolate import PchipInterpolator
+
+    radius, z = np.array(points).T
+    levels = np.linspace(z[0], z[-1], smooth)
+    return np.stack([PchipInterpolator(z, radius)(levels), levels], -1)
+
+
+def footed(wall: Array, bevel: float = 0.003) -> Array:
+    """Add a flat foot with a rounded edge below an outer wall that starts at z = 0."""
+    corner = rounded([(0, 0), (wall[0, 0], 0), tuple(wall[min(6, len(wall) - 1)])], bevel)
+    return np.concatenate([corner, wall[7:]])
+
+
+def mug(rng: Rng) -> list[Part]:
+    """Make a mug with a handle, 8 to 11 cm high."""
+    r, h = float(rng.uniform(0.036, 0.045)), float(rng.uniform(0.08, 0.11))
+    belly = float(rng.uniform(0.94, 1.06))
+    body = lathe(vessel(footed(curve([(r * 0.94, 0), (r * belly, h * 0.45), (r, h)]), 0.004), 0.0035))
+    angle = np.linspace(-np.pi / 2, np.pi / 2, 24)
+    reach, rise = float(rng.uniform(0.026, 0.034)), h * 0.30
+    x = r * min(belly, 1.0) - 0.003 + reach * np.cos(angle) ** 0.75
+    path = np.stack([x, np.zeros_like(x), h * 0.52 + rise * np.sin(angle)], -1)
+    handle = tube(path, 0.0045, flatten=1.5)
+    return [(merge([body, handle]), ceramic(rng))]
+
+
+def bowl(rng: Rng) -> list[Part]:
+    """Make a bowl 12 to 24 cm wide."""
+    r = float(rng.uniform(0.06, 0.12))
+    h = r * float(rng.uniform(0.5, 0.95))
+    shape = float(rng.uniform(1.7, 3.0))
+    t = np.linspace(0, 1, 40)
+    wall = np.stack([r * (0.42 + 0.58 * t ** (1 / shape)), h * t], -1)
+    profile = vessel(footed(wall), 0.004)
+    return [(lathe(profile, planar_uv=True), ceramic(rng) if rng.random() < 0.75 else metal(rng))]
+
+
+def plate(rng: Rng) -> list[Part]:
+    """Make a plate 16 to 27 cm wide."""
+    r, h = float(rng.uniform(0.08, 0.135)), float(rng.uniform(0.012, 0.024))
+    foot = float(rng.uniform(0.55, 0.68)) * r
+    outer = [
+        (0, 0.0),
+        (foot, 0.0),
+        (foot + 0.006, 0.004),
+        (r, h),
+        (r - 0.001, h + 0.0035),
+        (foot, 0.0065),
+        (0, 0.0055),
+    ]
+    profile = rounded(outer, [0, 0.002, 0.012, 0.0016, 0.0016, 0.02, 0])
+    return [(lathe(profile, segments=96, planar_uv=True), ceramic(rng))]
+
+
+def vase(rng: Rng) -> list[Part]:
+    """Make a vase 12 to 34 cm high; the profile, and fluting on some, come from the generator."""
+    h = float(rng.uniform(0.12, 0.34))
+    belly, neck, lip = (float(v) for v in rng.uniform((0.22, 0.10, 1.0), (0.34, 0.18, 1.5)))
+    where = float(rng.uniform(0.25, 0.6))
+    points = [
+        (belly * rng.uniform(0.5, 0.8) * h, 0),
+        (belly * h, where * h),
+        (neck * h, 0.85 * h),
+        (neck * lip * h, h),
+    ]
+    fluted = rng.random() < 0.35
+    surface = lathe(
+        vessel(footed(curve([(float(r), float(z)) for r, z in points], smooth=48)), 0.004),
+        segments=144 if fluted else 80,
+        lobes=int(rng.integers(10, 21)) if fluted else 0,
+        depth=0.025 if fluted else 0.0,
+    )
+    return [(surface, ceramic(rng) if rng.random() < 0.7 else glass(rng))]
+
+
+def bottle(rng: Rng) -> list[Part]:
+    """Make a glass bottle 16 to 31 cm high with a stopper."""
+    h = float(rng.uniform(0.16, 0.31))
+    r, neck = h * float(rng.uniform(0.13, 0.19)), float(rng.uniform(0.011, 0.014))
+    shoulder = float(rng.uniform(0.5, 0.68)) * h
+    corners = [(0, 0), (r, 0), (r, shoulder), (neck, shoulder + 1.1 * (r - neck)), (neck, h)]
+    body = vessel(rounded(corners, [0, 0.006, 0.03, 0.03, 0], steps=10), 0.0028)
+    plug = [
+        (0, 0),
+        (neck * 0.72, 0),
+        (neck * 0.76, 0.02),
+        (neck * 1.1, 0.02),
+        (neck * 1.1, 0.032),
+        (0, 0.032),
+    ]
+    cork = Material(name="cork", base_color=(0.45, 0.27, 0.14), roughness=0.9)
+    stopper = lathe(rounded(plug, 0.0015)).moved((0, 0, h - 0.0195))
+    return [(lathe(body), glass(rng, BOTTLE_TINTS)), (stopper, cork if rng.random() < 0.6 else metal(rng))]
+
+
+def jar(rng: Rng) -> list[Part]:
+    """Make a storage jar with a lid, 9 to 20 cm high."""
+    r, h = float(rng.uniform(0.035, 0.055)), float(rng.uniform(0.08, 0.17))
+    corners = [(0, 0), (r, 0), (r, h - 0.018), (r * 0.86, h - 0.008), (r * 0.86, h)]
+    body = lathe(vessel(rounded(corners, [0, 0.006, 0.008, 0.004, 0]), 0.003))
+    lid = [
+        (0, 0),
+        (r * 0.93, 0),
+        (r * 0.93, 0.016),
+        (0.008, 0.018),
+        (0.007, 0.024),
+        (0.013, 0.034),
+        (0, 0.038),
+    ]
+    top = lathe(rounded(lid, [0, 0.002, 0.004, 0.003, 0.004, 0.007, 0])).moved((0, 0, h - 0.001))
+    wood = Material(name="lid", base_color=(1, 1, 1), base_color_texture=tiled("wood-oak", 0.4), roughness=0.5)
+    return [(body, glass(rng) if rng.random() < 0.5 else ceramic(rng)), (top, wood)]
+
+
+def tumbler(rng: Rng) -> list[Part]:
+    """Make a drinking glass 8 to 15 cm high."""
+    h = float(rng.uniform(0.08, 0.15))
+    r = float(rng.uniform(0.03, 0.042))
+    foot = r * float(rng.uniform(0.75, 1.0))
+    outer = rounded([(0, 0), (foot, 0), (r, h)], [0, 0.004, 0])
+    levels = np.linspace(outer[-2], outer[-1], 12)
+    return [(lathe(vessel(np.concatenate([outer[:-2], levels]), 0.0024)), glass(rng))]
+
+
+def can(rng: Rng) -> list[Part]:
+    """Make a tin 8 to 12 cm high."""
+    r, h = float(rng.uniform(0.032, 0.05)), float(rng.uniform(0.08, 0.12))
+    rim = [(0, 0.003), (r - 0.003, 0.003), (r - 0.002, 0), (r, 0), (r, 0.004), (r - 0.0012, 0.005)]
+    mirror = [(x, h - z) for x, z in reversed(rim)]
+    return [(lathe(rounded([*rim, *mirror], 0.0007)), metal(rng))]
+
+
+def pawn(rng: Rng) -> list[Part]:
+    """Make a turned figure like a chess pawn, 7 to 14 cm high."""
+    s = float(rng.uniform(0.07, 0.14))
+    ball, waist = float(rng.uniform(0.13, 0.18)), float(rng.uniform(0.08, 0.11))
+    stem = [
+        (0, 0),
+        (0.25, 0),
+        (0.25, 0.09),
+        (0.19, 0.16),
+        (waist, 0.55),
+        (0.18, 0.6),
+        (0.18, 0.63),
+        (0.09, 0.66),
+    ]
+    angle = np.linspace(-0.9, np.pi / 2, 20)
+    head = np.stack([ball * np.cos(angle), 1 - ball + ball * np.sin(angle)], -1)
+    profile = np.concatenate([rounded(stem, [0, 0.03, 0.05, 0.1, 0.2, 0.02, 0.02, 0]), head]) * s
+    wood = Material(
+        name="wood",
+        base_color=(1, 1, 1),
+        base_color_texture=tiled("wood-walnut", 0.3),
+        roughness=0.35,
+        coat=0.5,
+    )
+    return [(lathe(profile), wood if rng.random() < 0.5 else paint(rng))]
+
+
+def ball(rng: Rng) -> list[Part]:
+    """Make a plain ball 4 to 12 cm wide."""
+    makers: tuple[Callable[[Rng], Material], ...] = (paint, metal, ceramic, glass)
+    return [(sphere(float(rng.uniform(0.02, 0.06))), makers[int(rng.integers(4))](rng))]
+
+
+def fruit(rng: Rng) -> list[Part]:
+    """Make an apple-like fruit with a stalk, 6 to 9 cm wide."""
+    r = float(rng.uniform(0.03, 0.045))
+    dip, tall = float(rng.uniform(0.15, 0.4)), float(rng.uniform(0.85, 1.1))
+    t = np.linspace(-np.pi / 2, np.pi / 2, 41)
+    radius = np.cos(t) ** 0.8
+    z = tall * np.sin(t) - dip * np.sign(np.sin(t)) * np.exp(-((radius / 0.35) ** 2)) * (0.6 + 0.4 * np.sin(t))
+    body = lathe(r * np.stack([radius, z - z.min()], -1), lobes=5, depth=0.02)
+    top = r * float(z[-1] - z.min())
+    lean = np.linspace(0, 1, 8)
+    path = np.stack([0.25 * r * lean**2, 0 * lean, top - 0.004 + 0.55 * r * lean], -1)
+    skins: tuple[Rgb, ...] = ((0.45, 0.03, 0.03), (0.35, 0.42, 0.04), (0.75, 0.30, 0.02), (0.65, 0.50, 0.05))
+    skin = Material(name="skin", base_color=pick(rng, skins), roughness=0.38, coat=0.3, coat_roughness=0.25)
+    stalk = Material(name="stalk", base_color=(0.12, 0.07, 0.03), roughness=0.8)
+    return [(body, skin), (tube(path, 0.0016, segments=10), stalk)]
+
+
+def to_mesh(parts: list[Part]) -> Mesh:
+    """Turn parts into a mesh that is centred in x and y and stands on z = 0."""
+    points = np.concatenate([surface.vertices for surface, _ in parts])
+    low, high = points.min(axis=0), points.max(axis=0)
+    offset = np.array([-(low[0] + high[0]) / 2, -(low[1] + high[1]) / 2, -low[2]])
+    return Mesh(
+        tuple(
+            MeshPart(
+                material.name,
+                (s.vertices + offset).astype(np.float32),
+                s.faces.astype(np.int32),
+                s.normals.astype(np.float32),
+                s.uv.astype(np.float32),
+                material,
+            )
+            for s, material in parts
+        )
+    )

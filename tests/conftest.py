@@ -1,0 +1,48 @@
+"""Shared fixtures: a small closed-form dataset that needs no renderer."""
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from datagen.cli import main
+from datagen.records import SceneRecord
+from datagen.store import ViewData, read_scene, read_view, scene_dir
+
+SPHERES = [
+    "--renderer",
+    "analytic",
+    "--kind",
+    "spheres",
+    "--width",
+    "64",
+    "--height",
+    "48",
+    "--views",
+    "3",
+    "--spp",
+    "4",
+]
+
+
+@pytest.fixture(scope="session")
+def spheres_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset of two closed-form scenes; tests must not change it."""
+    root = tmp_path_factory.mktemp("spheres") / "dataset"
+    assert main(["dataset", "--out", str(root), "--scenes", "2", "--workers", "2", *SPHERES]) == 0
+    return root
+
+
+@pytest.fixture
+def spheres_copy(spheres_dataset: Path, tmp_path: Path) -> Path:
+    """A copy to damage."""
+    return Path(shutil.copytree(spheres_dataset, tmp_path / "dataset"))
+
+
+@pytest.fixture(scope="session")
+def sphere_view(spheres_dataset: Path) -> Iterator[tuple[SceneRecord, ViewData]]:
+    """One stored view and its scene's record."""
+    folder = scene_dir(spheres_dataset, 0)
+    record = read_scene(folder)
+    yield record, read_view(folder / record.views[0].file)

@@ -1,0 +1,95 @@
+"""Who may import what: the source is read and held against the table in ARCHITECTURE.md."""
+
+import ast
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+ROOMS = ("scenes", "lights", "datagen", "model")
+FENCED = {"bpy", "mathutils", "mitsuba", "drjit", "pxr", "torch"}
+
+
+def import_table() -> dict[str, set[str]]:
+    """Read the table: folder or file → the third-party modules and rooms it may import."""
+    text = (ROOT / "ARCHITECTURE.md").read_text()
+    section = text.split("<!-- import table -->")[1].split("<!-- end of import table -->")[0]
+    rows = re.findall(r"^\| `([^`]+)` \|[^|]*\|([^|]*)\|$", section, flags=re.MULTILINE)
+    return {place.rstrip("/"): set(re.findall(r"`([^`]+)`", allowed)) for place, allowed in rows}
+
+
+def sources() -> list[Path]:
+    return [*sorted(p for room in ROOMS for p in (ROOT / room).rglob("*.py")), ROOT / "multilight.py"]
+
+
+def imports_of(path: Path) -> set[str]:
+    """List the full names of all imported modules, wherever in the file the import stands."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found.add(node.module)
+            found |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return found
+
+
+def places_of(path: Path, table: dict[str, set[str]]) -> list[str]:
+    relative = path.relative_to(ROOT).as_posix()
+    return [place for place in table if relative == place or relative.startswith(place + "/")]
+
+
+def test_table_names_every_source() -> None:
+    table = import_table()
+    assert set(ROOMS) - {"model"} <= set(table)
+    homeless = [str(path.relative_to(ROOT)) for path in sources() if not places_of(path, table)]
+    assert not homeless
+
+
+@pytest.mark.parametrize("path", sources(), ids=lambda p: p.relative_to(ROOT).as_posix())
+def test_imports_stay_inside_the_table(path: Path) -> None:
+    table = import_table()
+    allowed = set().union(*(table[place] for place in places_of(path, table)))
+    standard = set(sys.stdlib_module_names)
+    for name in imports_of(path):
+        top = name.split(".")[0]
+        if top in standard:
+            continue
+        assert top in allowed, f"{path.relative_to(ROOT)} imports {name}; ARCHITECTURE.md allows {sorted(allowed)}"
+
+
+def test_only_the_room_of_a_renderer_imports_it() -> None:
+    table = import_table()
+    for module in FENCED:
+        holders = [place for place, allowed in table.items() if module in allowed]
+        assert len(holders) <= 2, f"{module} may be imported in {holders}"
+
+
+def test_readers_do_not_import_makers() -> None:
+    makers = ("datagen.backends.", "datagen.produce", "datagen.dataset", "datagen.worker", "datagen.denoise")
+    for reader in ("store", "compose", "layers", "exposure", "verify", "mixing", "sheet", "index"):
+        named = imports_of(ROOT / "datagen" / f"{reader}.py")
+        assert not [n for n in named if n.startswith(makers)], reader
+
+
+def test_light_imports_start_no_renderer() -> None:
+    code = (
+        "import sys, scenes.spec, lights.spec, lights.relight, datagen.store, datagen.compose, datagen.cli\n"
+        f"print(sorted(set({sorted(FENCED)}) & set(sys.modules)))"
+    )
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert shown.stdout.strip() == "[]"
+
+
+def test_help_is_light() -> None:
+    code = (
+        "import sys\nfrom datagen.cli import main\n"
+        "try: main(['--help'])\n"
+        "except SystemExit: pass\n"
+        f"bad = set({sorted(FENCED | {'OpenEXR', 'colour', 'trimesh'})}) & set(sys.modules)\n"
+        "sys.exit(f'{sorted(bad)}' if bad else 0)"
+    )
+    subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, cwd=ROOT)

@@ -1,0 +1,198 @@
+"""Production: same seed same bytes, resuming, kills, full and unwritable outputs, refusals."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+from datagen.cli import main
+from datagen.store import file_sha256, scene_dir, scene_indices
+from tests.conftest import SPHERES
+
+
+def run(*words: str | Path) -> int:
+    return main([str(word) for word in words])
+
+
+def contents(root: Path) -> dict[str, str]:
+    """Hash every file that belongs to the data."""
+    files = [p for p in root.rglob("*") if p.is_file() and p.name != ".lock"]
+    return {p.relative_to(root).as_posix(): file_sha256(p) for p in files}
+
+
+def start(root: Path, *words: str) -> "subprocess.Popen[bytes]":
+    command = [sys.executable, "-m", "datagen", "dataset", "--out", str(root), *SPHERES, *words]
+    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+
+
+def wait_for(condition: object, seconds: float = 60.0) -> None:
+    assert callable(condition)
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.02)
+
+
+def test_worker_count_and_order_change_nothing(spheres_dataset: Path, tmp_path: Path) -> None:
+    root = tmp_path / "other"
+    assert run("scene", "--out", root, "--index", 1, *SPHERES) == 0
+    assert scene_indices(root) == [1]
+    assert run("dataset", "--out", root, "--scenes", 2, "--workers", 1, *SPHERES) == 0
+    assert contents(root) == contents(spheres_dataset)
+
+
+def test_another_seed_is_another_scene(spheres_dataset: Path, tmp_path: Path) -> None:
+    assert run("scene", "--out", tmp_path / "d", "--seed", 1, *SPHERES) == 0
+    one, other = (json.loads((scene_dir(d, 0) / "scene.json").read_text()) for d in (spheres_dataset, tmp_path / "d"))
+    assert one["scene_sha256"] != other["scene_sha256"]
+    assert one["rig_sha256"] != other["rig_sha256"]
+
+
+def test_a_second_call_finds_nothing_to_do(spheres_copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = contents(spheres_copy)
+    assert run("dataset", "--out", spheres_copy, "--scenes", 2, *SPHERES) == 0
+    assert "nothing to do" in capsys.readouterr().out
+    assert contents(spheres_copy) == before
+
+
+def test_index_has_a_row_a_scene(spheres_dataset: Path) -> None:
+    table = pl.read_parquet(spheres_dataset / "index.parquet")
+    assert table["index"].to_list() == [0, 1]
+    assert set(table["kind"]) == {"spheres"}
+    for row in table.iter_rows(named=True):
+        assert row["bytes"] == sum(p.stat().st_size for p in scene_dir(spheres_dataset, row["index"]).rglob("*.exr"))
+
+
+def test_kill_loses_at_most_the_scenes_in_work(tmp_path: Path) -> None:
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    words = ("--scenes", "4", "--workers", "2")
+    process = start(killed, *words)
+    wait_for(lambda: scene_indices(killed) and list((killed / "work").glob("*/views/*.exr")))
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    finished = scene_indices(killed)
+    assert 0 < len(finished) < 4
+    kept = {name: digest for name, digest in contents(killed).items() if name.startswith("scenes/")}
+    wait_for(lambda: not orphans(killed))
+    assert run("dataset", "--out", killed, *words, *SPHERES) == 0
+    assert run("dataset", "--out", whole, *words, *SPHERES) == 0
+    assert contents(killed) == contents(whole)
+    assert kept.items() <= contents(killed).items()
+
+
+def orphans(root: Path) -> list[str]:
+    """List worker processes that still run for a dataset's folder."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit() and int(entry.name) != os.getpid():
+            try:
+                open_files = [os.readlink(p) for p in (entry / "fd").iterdir()]
+            except OSError:
+                continue
+            found += [entry.name for name in open_files if name.startswith(str(root))]
+    return found
+
+
+def test_a_worker_that_dies_costs_its_scene_only(tmp_path: Path) -> None:
+    root = tmp_path / "d"
+    process = start(root, "--scenes", "3", "--workers", "1")
+    wait_for(lambda: list((root / "work").glob("000001-*")))
+    worker = int(next((root / "work").glob("000001-*")).name.split("-")[1])
+    os.kill(worker, signal.SIGKILL)
+    assert process.wait(timeout=120) == 1
+    assert scene_indices(root) == [0, 2]
+    assert (root / "logs" / "000001.log").exists()
+    assert run("dataset", "--out", root, "--scenes", 3, *SPHERES) == 0
+    assert scene_indices(root) == [0, 1, 2]
+    assert not (root / "logs").exists()
+
+
+def test_interrupt_stops_and_says_how_to_go_on(tmp_path: Path) -> None:
+    root = tmp_path / "d"
+    command = [sys.executable, "-m", "datagen", "dataset", "--out", str(root), *SPHERES, "--scenes", "50"]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    wait_for(lambda: scene_indices(root))
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "goes on where it was" in errors
+    assert "Traceback" not in errors
+
+
+def test_two_runs_do_not_share_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    root = tmp_path / "d"
+    process = start(root, "--scenes", "50")
+    try:
+        wait_for(lambda: (root / "work").is_dir())
+        assert run("dataset", "--out", root, "--scenes", 50, *SPHERES) == 1
+        assert "being made by another process" in capsys.readouterr().err
+    finally:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (("--seed", "5"), "seed = 0, not 5"),
+        (("--width", "80"), "width = 64, not 80"),
+        (("--spp", "7"), "spp = 4, not 7"),
+    ],
+)
+def test_continuing_with_other_values_is_refused(
+    spheres_dataset: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], expected: str
+) -> None:
+    assert run("dataset", "--out", spheres_dataset, "--scenes", 3, *SPHERES, *words) == 1
+    assert expected in capsys.readouterr().err
+
+
+def test_continuing_with_another_renderer_is_refused(spheres_dataset: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ["cycles" if word == "analytic" else word for word in SPHERES]
+    assert run("dataset", "--out", spheres_dataset, "--scenes", 2, *options) == 1
+    errors = capsys.readouterr().err
+    assert "'analytic'" in errors
+    assert "'cycles'" in errors
+
+
+def test_a_folder_with_other_files_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "thesis.tex").write_text("precious")
+    assert run("dataset", "--out", tmp_path, *SPHERES) == 1
+    assert "holds other files" in capsys.readouterr().err
+
+
+def test_unwritable_output(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("dataset", "--out", "/proc/nowhere", *SPHERES) == 1
+    assert "/proc/nowhere cannot be written" in capsys.readouterr().err
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Path:
+    """A file system of 1 MiB."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", str(folder)], capture_output=True)
+    if mounted.returncode:
+        pytest.skip("a full disk needs a small file system, and mounting one needs root")
+    return folder
+
+
+def test_full_disk_is_said_and_finished_scenes_stay(small_disk: Path) -> None:
+    try:
+        root = small_disk / "d"
+        command = [sys.executable, "-m", "datagen", "dataset", "--out", str(root), *SPHERES, "--scenes", "40"]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=240)
+        assert done.returncode == 1
+        assert "no space left" in done.stderr
+        assert "Traceback" not in done.stderr
+        assert scene_indices(root)
+        assert not (root / "work").exists() or not list((root / "work").rglob("*.exr"))
+        check = subprocess.run([sys.executable, "-m", "datagen", "verify", str(root)], capture_output=True)
+        assert check.returncode == 0
+    finally:
+        subprocess.run(["umount", "-l", str(small_disk)], check=True)

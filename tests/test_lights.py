@@ -1,0 +1,317 @@
+"""Relighting, tone curves, radiometry and colour against published values and their own inverses."""
+
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from lights import radiometry
+from lights.colour import GELS, gel_rgb, random_gel, temperature_to_rgb, temperature_to_xy
+from lights.relight import gain_matrix, mix
+from lights.spec import LightingCondition
+from lights.tonemap import (
+    HIGHLIGHT_LIMIT,
+    LUMINANCE_WEIGHTS,
+    MIDDLE_GREY,
+    luminance,
+    meter_ev,
+    srgb_decode,
+    srgb_encode,
+    to_display,
+    tone_curve,
+)
+
+LIGHTS = ("key", "fill", "sky")
+gain = st.floats(0.0, 8.0, width=32)
+rgb = st.tuples(gain, gain, gain)
+positive = st.floats(1e-3, 1e4)
+
+
+def condition(gains: dict[str, tuple[float, float, float]], ev: float = 0.0) -> LightingCondition:
+    return LightingCondition(name="test", gains=gains, exposure_ev=ev)
+
+
+def layers(seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).gamma(0.5, 2.0, (3, 4, 5, 3)).astype(np.float32)
+
+
+# --- the one weighted sum ---
+
+
+def test_mix_matches_the_sum_written_out():
+    radiance = layers()
+    got = mix(radiance, LIGHTS, condition({"sky": (1, 2, 3), "key": (0.5, 0, 0.25)}, ev=1.5))
+    want = np.zeros(radiance.shape[1:])
+    for c in range(3):
+        want[..., c] = 2**1.5 * (radiance[2, ..., c] * (1, 2, 3)[c] + radiance[0, ..., c] * (0.5, 0, 0.25)[c])
+    assert got.dtype == np.float32
+    np.testing.assert_allclose(got, want, rtol=1e-6)
+
+
+@given(a=rgb, b=rgb, ev=st.floats(-4, 4))
+def test_mix_is_linear_in_the_gains(a, b, ev):
+    radiance = layers()
+    both = tuple(x + y for x, y in zip(a, b, strict=True))
+    summed = mix(radiance, LIGHTS, condition({"key": a}, ev)) + mix(radiance, LIGHTS, condition({"key": b}, ev))
+    np.testing.assert_allclose(mix(radiance, LIGHTS, condition({"key": both}, ev)), summed, rtol=1e-5, atol=1e-5)
+
+
+def test_one_ev_doubles_exactly():
+    radiance = layers()
+    once = mix(radiance, LIGHTS, condition({"fill": (1, 1, 1)}))
+    np.testing.assert_array_equal(mix(radiance, LIGHTS, condition({"fill": (1, 1, 1)}, ev=1)), 2 * once)
+    np.testing.assert_array_equal(once, radiance[1])
+
+
+def test_absent_light_is_off_and_not_read():
+    radiance = layers()
+    radiance[0] = np.nan
+    assert np.isfinite(mix(radiance, LIGHTS, condition({"fill": (1, 1, 1), "key": (0, 0, 0)}))).all()
+    np.testing.assert_array_equal(mix(radiance, LIGHTS, condition({})), 0)
+
+
+def test_mix_reads_half_floats_without_overflow():
+    radiance = np.full((1, 1, 1, 3), 40000, np.float16)
+    np.testing.assert_array_equal(mix(radiance, ["a"], condition({"a": (4, 4, 4)})), 160000)
+
+
+def test_unknown_light_is_named_with_the_known_ones():
+    with pytest.raises(ValueError, match=r"'lamp'.*'key', 'fill', 'sky'"):
+        gain_matrix(LIGHTS, condition({"lamp": (1, 1, 1)}))
+
+
+def test_mix_refuses_the_wrong_number_of_layers():
+    with pytest.raises(ValueError, match=r"\(3, 4, 5, 3\).*2 light"):
+        mix(layers(), ["a", "b"], condition({}))
+
+
+# --- transfer curve, metering, tone curve ---
+
+
+@pytest.mark.parametrize(
+    ("encoded", "linear"),
+    # IEC 61966-2-1, 8-bit codes to linear.
+    [(0, 0.0), (10, 0.0030352698), (11, 0.0033465358), (127, 0.2122307574), (188, 0.5028864580), (255, 1.0)],
+)
+def test_srgb_reference_values(encoded, linear):
+    assert srgb_decode(encoded / 255) == pytest.approx(linear, rel=1e-6)
+    assert srgb_encode(linear) == pytest.approx(encoded / 255, rel=1e-6)
+
+
+@given(st.floats(0, 1))
+def test_srgb_round_trip(x):
+    assert srgb_decode(srgb_encode(x)) == pytest.approx(x, abs=1e-7)
+
+
+def test_luminance_of_white_is_one_and_keeps_the_type():
+    assert luminance(np.ones(3)) == pytest.approx(1.0)
+    assert luminance(np.ones((2, 2, 3), np.float32)).dtype == np.float32
+
+
+@given(st.floats(1e-5, 1e5))
+def test_even_picture_meters_to_middle_grey(level):
+    picture = np.full((8, 8, 3), level)
+    assert level * 2 ** meter_ev(picture) == pytest.approx(MIDDLE_GREY, rel=1e-6)
+
+
+@given(level=st.floats(1e-3, 1e3), ev=st.floats(-8, 8))
+def test_metering_follows_exposure(level, ev):
+    picture = np.random.default_rng(1).gamma(1.0, level, (16, 16, 3)) + 1e-3 * level
+    assert meter_ev(picture * 2**ev) == pytest.approx(meter_ev(picture) - ev, abs=1e-6)
+
+
+def test_metering_is_robust():
+    picture = np.full((40, 40, 3), 0.5)
+    plain = meter_ev(picture)
+    lamp, corner, broken = picture.copy(), picture.copy(), picture.copy()
+    lamp[:4, :4] = 1e6
+    corner[:, :20] = 1e-9
+    broken[0, 0] = np.nan
+    broken[0, 1] = np.inf
+    for changed in (lamp, corner, broken):
+        assert meter_ev(changed) == pytest.approx(plain, abs=0.3)
+    assert meter_ev(np.zeros((4, 4, 3))) == 0.0
+    assert meter_ev(np.full((4, 4, 3), np.nan)) == 0.0
+
+
+def test_metering_holds_highlights_by_two_stops_at_most():
+    picture = np.full((40, 40, 3), 0.1)
+    picture[:4] = 1.2
+    exposed = picture * 2 ** meter_ev(picture)
+    assert luminance(exposed).max() == pytest.approx(HIGHLIGHT_LIMIT)
+    picture[:4] = 10.0
+    assert meter_ev(picture) > math.log2(MIDDLE_GREY / 0.1) - 2.7
+
+
+def test_metering_reads_the_mask_only():
+    picture = np.full((8, 8, 3), 5.0)
+    picture[:4] = 0.02
+    mask = np.zeros((8, 8), bool)
+    mask[:4] = True
+    assert meter_ev(picture, mask) == pytest.approx(math.log2(MIDDLE_GREY / 0.02))
+
+
+@pytest.mark.parametrize(
+    ("colour", "expected"),
+    # Worked by hand from the formula.
+    [
+        ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+        ((0.01, 0.5, 0.6), (0.01, 0.5, 0.6)),
+        # p = 2, p_n = 1 - 0.16 / 1.8 on every channel: grey stays grey
+        ((2.0, 2.0, 2.0), (0.911111, 0.911111, 0.911111)),
+        # p = 1, p_n = 0.8, kept = 1 / (0.15 * 0.2 + 1)
+        ((1.0, 0.0, 0.0), (0.8, 0.8 - 0.8 / 1.03, 0.8 - 0.8 / 1.03)),
+    ],
+)
+def test_tone_curve_reference_values(colour, expected):
+    np.testing.assert_allclose(tone_curve(np.array(colour)), expected, atol=2e-6)
+
+
+@given(colour=hnp.arrays(np.float64, 3, elements=st.floats(0, 1e4)), factor=st.floats(1.0, 4.0))
+def test_tone_curve_stays_in_range_grows_and_keeps_the_order_of_channels(colour, factor):
+    low, high = tone_curve(colour), tone_curve(colour * factor)
+    assert low.min() >= 0
+    assert high.max() <= 1 + 1e-6
+    assert high.max() >= low.max() - 1e-5
+    assert (np.diff(low[np.argsort(colour)]) >= -1e-5).all()
+
+
+def test_saturated_highlight_fades_to_white_in_its_own_hue():
+    blue = to_display(np.array([[0.02, 0.1, 1.0]]) * 2.0 ** np.arange(12)[:, None])
+    assert (blue[:, 2] >= blue[:, 1]).all()
+    assert (blue[:, 1] >= blue[:, 0]).all()
+    assert blue[-1].min() > 230
+
+
+def test_display_of_broken_values():
+    picture = np.array([[np.nan] * 3, [np.inf] * 3, [-np.inf] * 3, [-1.0] * 3, [3e38] * 3])
+    np.testing.assert_array_equal(to_display(picture, 20.0)[:, 0], [0, 255, 0, 0, 255])
+
+
+# --- radiometry ---
+
+
+def test_inverse_square_law():
+    assert radiometry.irradiance_from_intensity(8.0, 2.0) == 2.0
+    assert radiometry.irradiance_from_intensity(8.0, 4.0, cosine=0.5) == 0.25
+    assert radiometry.irradiance_from_intensity(8.0, 4.0, cosine=-0.5) == 0.0
+
+
+def test_reference_conversions():
+    # An isotropic lamp of 4 pi lm gives 1 cd, and 1 cd gives 1 lux at 1 m.
+    intensity = radiometry.watts_from_photometric(4 * math.pi) / (4 * math.pi)
+    assert radiometry.photometric_from_watts(intensity) == pytest.approx(1.0)
+    assert radiometry.watts_from_photometric(179.0) == 1.0
+    # A Lambertian square metre of radiance 1 emits pi watts.
+    assert radiometry.area_flux_from_radiance(1.0, 1.0) == pytest.approx(math.pi)
+    # A hemisphere is half a sphere, and a whole one a point.
+    assert radiometry.spot_intensity_from_flux(1.0, math.pi / 2) == pytest.approx(1 / (2 * math.pi))
+    assert radiometry.spot_intensity_from_flux(1.0, math.pi) == pytest.approx(radiometry.point_intensity_from_flux(1.0))
+
+
+@given(positive)
+def test_conversions_invert(x):
+    assert radiometry.photometric_from_watts(radiometry.watts_from_photometric(x)) == pytest.approx(x)
+    assert radiometry.point_flux_from_intensity(radiometry.point_intensity_from_flux(x)) == pytest.approx(x)
+    assert radiometry.area_flux_from_radiance(radiometry.area_radiance_from_flux(x, 0.3), 0.3) == pytest.approx(x)
+    assert radiometry.irradiance_from_intensity(radiometry.intensity_for_irradiance(x, 1.7), 1.7) == pytest.approx(x)
+
+
+@given(value=positive, colour=st.tuples(*[st.floats(0.01, 5.0)] * 3))
+def test_coloured_quantity_has_the_asked_luminance(value, colour):
+    scaled = radiometry.rgb_from_scalar(value, colour)
+    assert float(luminance(np.array(scaled))) == pytest.approx(value)
+    assert scaled[0] / scaled[2] == pytest.approx(colour[0] / colour[2])
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: radiometry.point_intensity_from_flux(-1.0), "flux -1.0"),
+        (lambda: radiometry.point_intensity_from_flux(math.nan), "flux nan"),
+        (lambda: radiometry.area_radiance_from_flux(1.0, 0.0), "area 0.0"),
+        (lambda: radiometry.irradiance_from_intensity(1.0, 0.0), "distance 0.0"),
+        (lambda: radiometry.spot_intensity_from_flux(1.0, 4.0), "half angle 4.0"),
+        (lambda: radiometry.rgb_from_scalar(1.0, (0.0, 0.0, 0.0)), "one above 0"),
+    ],
+)
+def test_impossible_quantities_are_named(call, words):
+    with pytest.raises(ValueError, match=words):
+        call()
+
+
+# --- colour ---
+
+
+@pytest.mark.parametrize(
+    ("kelvin", "xy", "tolerance"),
+    [
+        # CIE standard illuminant A is a blackbody at 2855.54 K under the present c2.
+        (2855.54, (0.44757, 0.40745), 5e-5),
+        (2000.0, (0.5267, 0.4133), 2e-4),  # Wyszecki and Stiles, 1982, table 1(3.3.4)
+        # D50, D65, D75 under the present c2: 5003, 6504 and 7504 K (CIE 015:2018).
+        (5003.0, (0.34567, 0.35850), 2e-4),
+        (6504.0, (0.31272, 0.32903), 2e-4),
+        (7504.0, (0.29902, 0.31485), 2e-4),
+    ],
+)
+def test_chromaticity_reference_values(kelvin, xy, tolerance):
+    assert temperature_to_xy(kelvin) == pytest.approx(xy, abs=tolerance)
+
+
+def test_daylight_at_6504_kelvin_is_white():
+    assert temperature_to_rgb(6504) == pytest.approx((1, 1, 1), abs=2e-3)
+
+
+@given(st.floats(1000, 25000))
+def test_temperature_colours_have_unit_luminance_and_no_negative_channel(kelvin):
+    colour = temperature_to_rgb(kelvin)
+    assert min(colour) >= 0
+    assert np.dot(LUMINANCE_WEIGHTS, colour) == pytest.approx(1.0)
+
+
+def test_hotter_is_bluer_without_a_jump():
+    kelvins = np.geomspace(1000, 25000, 400)
+    xy = np.array([temperature_to_xy(k) for k in kelvins])
+    colours = np.array([temperature_to_rgb(k) for k in kelvins])
+    assert (np.diff(xy[:, 0]) < 0).all()
+    assert (np.diff(colours[:, 0]) < 1e-6).all()
+    assert (np.diff(colours[:, 2]) >= 0).all()
+    assert np.abs(np.diff(xy, axis=0)).max() < 0.006
+
+
+@pytest.mark.parametrize("kelvin", [999.0, 25001.0, math.nan, -5.0])
+def test_temperature_outside_the_range_is_refused(kelvin):
+    with pytest.raises(ValueError, match=r"outside 1000\.\.25000 K"):
+        temperature_to_rgb(kelvin)
+
+
+def test_gels_are_saturated_and_of_unit_luminance():
+    assert len(GELS) >= 12
+    colours = {name: np.array(gel_rgb(name)) for name in GELS}
+    for colour in colours.values():
+        assert luminance(colour) == pytest.approx(1.0)
+        assert colour.min() > 0
+    strong = [name for name, colour in colours.items() if colour.max() > 3 * colour.min()]
+    assert len(strong) >= 12
+    assert colours["primary_red"].argmax() == 0
+    assert colours["primary_green"].argmax() == 1
+    assert colours["deep_blue"].argmax() == 2
+
+
+def test_random_gel_follows_its_generator():
+    drawn = [random_gel(np.random.default_rng(seed)) for seed in range(60)]
+    assert drawn == [random_gel(np.random.default_rng(seed)) for seed in range(60)]
+    assert len(set(drawn)) > 8
+    with pytest.raises(ValueError, match=r"no gel 'puce'.*magenta"):
+        gel_rgb("puce")
+
+
+def test_importing_lights_leaves_colour_science_alone():
+    code = "import sys, lights.colour, lights.radiometry, lights.relight; sys.exit('colour' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
