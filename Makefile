@@ -12,10 +12,15 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 
 BIN := .venv/bin
 MULTILIGHT := $(BIN)/multilight
+PIP := $(BIN)/pip --quiet --disable-pip-version-check install -c constraints.txt
 OPTIONS := $(if $(SCENES),--scenes $(SCENES)) $(if $(SEED),--seed $(SEED)) \
 	$(if $(WORKERS),--workers $(WORKERS)) $(if $(CONFIG),--config $(CONFIG))
+# What bpy links against and a bare system lacks. Without root they are unpacked into .venv/system.
+LIBRARIES := libx11-6 libxcb1 libxau6 libxdmcp6 libbsd0 libmd0 libxrender1 libxfixes3 libxi6 libxext6 libxkbcommon0 \
+	libsm6 libice6 libuuid1 libgl1 libglx0 libglvnd0 libgomp1
+AS_ROOT := $(filter 0,$(shell id -u))
 
-.PHONY: dataset assets test check format clean
+.PHONY: dataset assets test check format clean system-libraries
 .DEFAULT_GOAL := dataset
 
 dataset: assets
@@ -46,16 +51,29 @@ clean:
 	rm -rf .venv out build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
+system-libraries: .venv/python
+ifdef AS_ROOT
+	apt-get update -qq
+	DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends $(LIBRARIES)
+else
+	mkdir -p .venv/system
+	cd .venv/system && apt-get download -qq $(LIBRARIES) && for deb in *.deb; do dpkg-deb -x $$deb .; done && rm -f *.deb
+endif
+
 .venv/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' || \
 		{ echo "Python 3.11 is needed (bpy's wheels demand it); set PYTHON=/path/to/python3.11"; exit 1; }
+	@$(PYTHON) -c 'import ensurepip' 2>/dev/null || $(if $(AS_ROOT),{ apt-get update -qq && \
+		apt-get install -qq -y --no-install-recommends python3.11-venv; },{ echo \
+		"Python's venv module is incomplete; run: sudo apt-get install python3.11-venv"; exit 1; })
 	$(PYTHON) -m venv .venv
 	touch $@
 
 .venv/installed: .venv/python pyproject.toml constraints.txt
-	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e .
+	$(PIP) -e .
+	@$(BIN)/python -c 'from datagen.backends import blender' 2>/dev/null || $(MAKE) system-libraries
 	touch $@
 
 .venv/installed-dev: .venv/installed
-	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	$(PIP) -e '.[dev]'
 	touch $@

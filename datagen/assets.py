@@ -5,9 +5,9 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
+
 from scenes.assets.check import check_assets
 from scenes.assets.fetch import DEFAULT_PACKS, fetch_pack
-
 from scenes.assets.library import AssetError, AssetLibrary, AssetRole
 
 ROLES: tuple[AssetRole, ...] = ("object", "table", "environment", "texture")

@@ -17,11 +17,11 @@ from pebble import ProcessExpired, ProcessFuture, ProcessPool
 
 from datagen.backends import RendererName, resolve_renderer
 from datagen.config import DatasetConfig
-from datagen.errors import DiskFullError, UserError, full_disk_told
+from datagen.errors import RunStoppedError, UserError, full_disk_told
 from datagen.index import write_index
 from datagen.records import DatasetRecord
 from datagen.store import read_dataset, read_scene, scene_dir, scene_indices, write_text
-from datagen.worker import WorkerSetup, log_path, run_scene, start_worker
+from datagen.worker import WorkerSetup, log_path, run_scene
 
 SCENES_A_WORKER = 25  # then a fresh process: a long-lived Blender grows
 SECONDS_A_MEGASAMPLE = 60.0  # a hundred times what a slow core needs; only a hung scene exceeds it
@@ -143,12 +143,10 @@ def _run(plan: Plan, renderer: RendererName, missing: Sequence[int], report: Rep
     pool = ProcessPool(
         max_workers=workers,
         max_tasks=SCENES_A_WORKER,
-        initializer=start_worker,
-        initargs=(setup,),
         context=multiprocessing.get_context("spawn"),
     )
     limit = _timeout(plan.config)
-    futures = {pool.schedule(run_scene, args=(index,), timeout=limit): index for index in missing}
+    futures = {pool.schedule(run_scene, args=(setup, index), timeout=limit): index for index in missing}
     try:
         failures = _collect(plan, futures, report)
         pool.close()
@@ -192,7 +190,7 @@ def _failure(plan: Plan, index: int, future: ProcessFuture) -> str | None:
         return f"took longer than {_timeout(plan.config):.0f} s and was stopped ({where})"
     except ProcessExpired as error:
         return f"the worker died with exit code {error.exitcode} ({where})"
-    except DiskFullError:
+    except RunStoppedError:
         raise
     except UserError as error:
         return f"{error} ({where})"

@@ -17,7 +17,11 @@ class StoreError(UserError):
     """A file of a dataset is missing, truncated, damaged or of another version."""
 
 
-class DiskFullError(UserError):
+class RunStoppedError(UserError):
+    """Something that would fail every further scene: the run ends at once."""
+
+
+class DiskFullError(RunStoppedError):
     """The output has no space left; what is finished is kept."""
 
 

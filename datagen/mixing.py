@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import OpenEXR
-from lights.conditions import random_condition
 from PIL import Image
 from pydantic import ValidationError
 
@@ -16,6 +15,7 @@ from datagen.layers import Float32
 from datagen.records import SceneRecord
 from datagen.sheet import effect_picture
 from datagen.store import ViewData, read_scene, read_view, scene_dir, scene_indices
+from lights.conditions import random_condition
 from lights.spec import LightingCondition
 from lights.tonemap import to_display
 from scenes.streams import Streams

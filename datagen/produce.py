@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from lights.conditions import sample_conditions
-from lights.rigs import SPHERES_KINDS, sample_rig
 
 from datagen.backends import Backend, RendererName, RenderJob, RenderSettings
 from datagen.config import DatasetConfig
@@ -19,6 +17,8 @@ from datagen.records import AssetCredit, SceneRecord, ViewRecord
 from datagen.sheet import save_preview
 from datagen.store import ViewData, file_sha256, scene_dir, view_file, write_text, write_view
 from datagen.verify import Fault, verify_scene
+from lights.conditions import sample_conditions
+from lights.rigs import SPHERES_KINDS, sample_rig
 from lights.spec import EnvironmentLight, LightRig
 from scenes.assets.library import AssetLibrary
 from scenes.spec import MeshAsset, SceneSpec

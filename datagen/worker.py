@@ -8,15 +8,14 @@ import time
 import traceback
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
-from datagen.backends import RendererName, open_backend
+from datagen.backends import BackendError, RendererName, open_backend
 from datagen.config import DatasetConfig
-from datagen.errors import UserError
+from datagen.errors import RunStoppedError, UserError
 from datagen.produce import Maker, make_scene
 from scenes.assets.library import AssetLibrary
-
-_maker: Maker | None = None
 
 
 @dataclass(frozen=True)
@@ -36,24 +35,26 @@ def log_path(root: Path, index: int) -> Path:
     return root / "logs" / f"{index:06d}.log"
 
 
-def start_worker(setup: WorkerSetup) -> None:
-    """Open the renderer once for all scenes of this process."""
-    global _maker
+@cache
+def _maker(setup: WorkerSetup) -> Maker:
+    """Open the renderer, once for all scenes of this process; raises `RunStoppedError` where it cannot start."""
     threading.Thread(target=_die_with, args=(setup.parent,), daemon=True).start()
     library = AssetLibrary(folders=setup.asset_folders)
-    # Never closed: the renderer lives as long as the process.
-    backend = open_backend(setup.renderer, library).__enter__()
-    _maker = Maker(setup.config, setup.renderer, setup.root, library, backend, setup.threads)
+    try:
+        # Never closed: the renderer lives as long as the process.
+        backend = open_backend(setup.renderer, library).__enter__()
+    except BackendError as error:
+        raise RunStoppedError(str(error)) from error
+    return Maker(setup.config, setup.renderer, setup.root, library, backend, setup.threads)
 
 
-def run_scene(index: int) -> None:
+def run_scene(setup: WorkerSetup, index: int) -> None:
     """Make one scene in this worker; what it prints goes to the scene's log, which stays only on failure."""
-    assert _maker is not None
-    path = log_path(_maker.root, index)
+    path = log_path(setup.root, index)
     path.parent.mkdir(parents=True, exist_ok=True)
     with _output_to(path):
         try:
-            make_scene(_maker, index)
+            make_scene(_maker(setup), index)
         except UserError:
             raise
         except BaseException:

@@ -94,7 +94,10 @@ def sample_rig(
     enclosed = any(body.category in ("wall", "backdrop") for body in scene.bodies)
     # On open ground the environment is the horizon: without it the picture ends in black.
     with_environment = "environment" in kinds and bool(rng.random() < (0.9 if enclosed else 1.0))
-    with_sun = "sun" in kinds and count >= 3 and bool(rng.random() < 0.3)
+    needed = 1 + with_environment + (glow is not None)
+    count = min(max(count, needed), lights[1])
+    with_environment = with_environment and count >= needed
+    with_sun = "sun" in kinds and count > needed and bool(rng.random() < 0.35)
     lamps = max(1, count - with_environment - with_sun - (glow is not None))
     for post in posts[:lamps]:
         rig.append(_lamp(rng, place, post, lamp_kinds, hard=scene.kind == "spheres"))

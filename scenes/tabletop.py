@@ -29,6 +29,8 @@ from scenes.trajectory import Subject, TrajectoryError, sample_trajectory
 ATTEMPTS = 12
 EMISSIVE_SHARE = 1 / 3
 _TOPS = frozenset({"wood", "marble", "linen", "fabric", "laminate", "stone", "terrazzo"})
+_BACKED = frozenset({"counter", "nightstand", "sideboard"})
+"""Furniture that turns its back to the wall."""
 _TOP_FINISH = {"marble": "stone", "terrazzo": "stone", "stone": "stone", "linen": "fabric", "fabric": "fabric"}
 
 Float64 = NDArray[np.float64]
@@ -145,7 +147,9 @@ def _table(
     if texture is not None and scale is not None and rng.random() < 0.5:
         finish = _TOP_FINISH.get(texture.category, "wood")
         materials[surface.part] = textured(rng, texture, finish, metres_per_uv=scale)
-    if aligned:
+    if aligned and info.category in _BACKED:
+        angle = 0.0
+    elif aligned:
         long_side = bool(np.ptp(mesh.bounds()[:, 0]) >= np.ptp(mesh.bounds()[:, 1]))
         quarter = 0 if long_side == bool(rng.random() < 0.85) else 1
         angle = np.pi / 2 * (quarter + 2 * int(rng.integers(2)))

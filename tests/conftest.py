@@ -1,7 +1,6 @@
 """Shared fixtures: a small closed-form dataset that needs no renderer."""
 
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -41,8 +40,8 @@ def spheres_copy(spheres_dataset: Path, tmp_path: Path) -> Path:
 
 
 @pytest.fixture(scope="session")
-def sphere_view(spheres_dataset: Path) -> Iterator[tuple[SceneRecord, ViewData]]:
+def sphere_view(spheres_dataset: Path) -> tuple[SceneRecord, ViewData]:
     """One stored view and its scene's record."""
     folder = scene_dir(spheres_dataset, 0)
     record = read_scene(folder)
-    yield record, read_view(folder / record.views[0].file)
+    return record, read_view(folder / record.views[0].file)

@@ -13,7 +13,7 @@ View = tuple[SceneRecord, ViewData]
 def two_lightings(view: ViewData) -> tuple[LightingCondition, LightingCondition]:
     first, *others = view.lights
     base = LightingCondition(name="base", gains={first: (1.0, 0.5, 2.0)}, exposure_ev=1.0)
-    insert = LightingCondition(name="insert", gains={name: (0.3, 1.0, 0.1) for name in others})
+    insert = LightingCondition(name="insert", gains=dict.fromkeys(others, (0.3, 1.0, 0.1)))
     return insert, base
 
 
@@ -41,7 +41,7 @@ def test_composite_takes_the_object_from_one_light_and_the_rest_from_the_other(s
 def test_edges_carry_no_halo(sphere_view: View) -> None:
     """With one lighting, a composite's edge lies between the target and what differs by the shadow alone."""
     record, view = sphere_view
-    everything = LightingCondition(name="all", gains={name: (1.0, 1.0, 1.0) for name in view.lights})
+    everything = LightingCondition(name="all", gains=dict.fromkeys(view.lights, (1.0, 1.0, 1.0)))
     for name in record.scene.insertable:
         alpha = view.coverage[name]
         edge = (alpha > 0) & (alpha < 1)
@@ -67,5 +67,5 @@ def test_effect_is_zero_where_the_object_has_no_influence(sphere_view: View) -> 
 def test_unknown_object_is_named(sphere_view: View) -> None:
     _, view = sphere_view
     _, lit = two_lightings(view)
-    with pytest.raises(UserError, match="teapot.*not insertable"):
+    with pytest.raises(UserError, match=r"teapot.*not insertable"):
         compose.background(view, "teapot", lit)

@@ -150,7 +150,7 @@ def test_point_and_sun_follow_the_cosine_law(spheres: StillLife) -> None:
 
 
 def test_area_lamp_against_closed_form(spheres: StillLife) -> None:
-    # A Lambertian disk of radius r, parallel at height h: E = pi L r² / (r² + h²) (McCluney 2014, eq. 3.20).
+    # A Lambertian disk of radius r, parallel and centred at height h: E = pi L r² / (r² + h²).
     position = spheres.foot + np.array([0.0, 0.0, 0.8])
     pose = matrix4(look_at(position, spheres.foot, up=(1.0, 0.0, 0.0)))
     disk = AreaLight(name="d", shape="disk", width=0.6, height=0.6, world_from_light=pose, radiance=(5.0, 5.0, 5.0))

@@ -131,7 +131,7 @@ def test_readme_example_reads_a_view(spheres_dataset: Path, monkeypatch: pytest.
     assert len(lines) <= 14
     monkeypatch.chdir(spheres_dataset)
     names: dict[str, object] = {}
-    exec(compile(code[1], "README.md", "exec"), names)  # noqa: S102 - the example itself is under test
+    exec(compile(code[1], "README.md", "exec"), names)
     target, composite, background = (np.asarray(names[k]) for k in ("target", "composite", "background"))
     assert target.shape == (48, 64, 3)
     assert np.isfinite(composite).all()

@@ -171,6 +171,7 @@ def test_json_round_trip(scenes: list[SceneSpec]) -> None:
         assert SceneSpec.from_json(scene.canonical_json()) == scene
 
 
+@pytest.mark.slow
 def test_emissive_share_is_about_a_third(library: AssetLibrary) -> None:
     settings = TabletopSettings(width=64, height=64, views=2)
     drawn = [sample_tabletop(Streams(9, i), library, index=i, settings=settings) for i in range(30)]

@@ -41,10 +41,6 @@ class Backend(Protocol):
 
     name: str
 
-    def version(self) -> str:
-        """Name and version of the renderer, for `dataset.json`."""
-        ...
-
     def render(self, job: RenderJob) -> LayerStack:
         """Render one job; raises `BackendError` with the value and the remedy."""
         ...
@@ -85,8 +81,12 @@ def open_backend(name: RendererName, library: AssetLibrary) -> AbstractContextMa
     """Start a renderer; use as a context manager. Imports the renderer only now."""
     match name:
         case "cycles":
-            from datagen.backends.blender import BlenderBackend
-
+            try:
+                from datagen.backends.blender import BlenderBackend
+            except ImportError as error:
+                raise BackendError(
+                    f"renderer 'cycles' cannot be loaded: {error}; `make setup` installs what it needs"
+                ) from error
             return BlenderBackend(library)
         case "analytic":
             from datagen.backends.analytic import AnalyticBackend

@@ -21,19 +21,20 @@ def write_once(path: Path, write: Callable[[Path], None]) -> Path:
 
     Raises `AssetError` where the cache cannot be written to.
     """
-    if path.exists():
-        return path
     temporary = path.with_name(f".{uuid.uuid4().hex}.tmp{path.suffix}")
     try:
+        if path.exists():
+            return path
         path.parent.mkdir(parents=True, exist_ok=True)
-        write(temporary)
-        temporary.replace(path)
+        try:
+            write(temporary)
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
     except OSError as error:
         raise AssetError(
             f"cannot write {path}: {error.strerror or error}; free some space or set MULTILIGHT_CACHE"
         ) from error
-    finally:
-        temporary.unlink(missing_ok=True)
     return path
 
 

@@ -12,8 +12,8 @@ from scenes.assets.library import AssetLibrary
 from scenes.meshes import Mesh
 from scenes.spec import Material
 
-LARGEST = {"object": 3.0, "table": 6.0}
-"""Longest side [m] of what may pass for an object or a table."""
+LARGEST = {"object": 3.0, "table": 6.0, "surrounding": 100.0}
+"""Longest side [m] of what may pass for a model of each role."""
 MOST_FACES = 400_000
 
 
@@ -31,7 +31,7 @@ def check_assets(library: AssetLibrary, pack: str | None = None) -> list[tuple[s
 def _problems(library: AssetLibrary, info: AssetInfo) -> Iterator[str]:
     try:
         match info.role:
-            case "object" | "table":
+            case "object" | "table" | "surrounding":
                 yield from _mesh_problems(library, info, library.mesh(info.id))
             case "texture":
                 yield from _image_problems(library, info.id)

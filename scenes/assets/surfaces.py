@@ -90,7 +90,8 @@ class SurfacePack:
             return source
 
         def write(path: Path) -> None:
-            albedo = np.asarray(Image.open(source).convert("RGB"))
+            with Image.open(source) as image:
+                albedo = np.asarray(image.convert("RGB"))
             height = height_from_albedo(albedo, depth=RELIEF.get(texture.category, 3e-5))
             Image.fromarray(normal_map(height, metres=texture.metres)).save(path)
 

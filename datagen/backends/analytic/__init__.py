@@ -20,7 +20,6 @@ from lights.spec import EmissiveLight, EnvironmentLight, Light
 from scenes.cameras import pixel_rays
 from scenes.spec import Camera
 
-VERSION = "1"
 """Raised whenever the pictures change."""
 
 
@@ -36,10 +35,6 @@ class AnalyticBackend:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         return None
-
-    def version(self) -> str:
-        """Name and version of the renderer, for `dataset.json`."""
-        return f"analytic {VERSION}"
 
     def render(self, job: RenderJob) -> LayerStack:
         """Render one job; raises `BackendError` naming a body, light, view or variant it cannot draw.

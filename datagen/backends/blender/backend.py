@@ -48,10 +48,6 @@ class BlenderBackend:
             BlenderBackend._holder = None
         self._key = self._synced = None
 
-    def version(self) -> str:
-        """Name and version of the renderer, such as "Cycles (Blender 4.5.15 LTS)"."""
-        return f"Cycles (Blender {bpy.app.version_string})"
-
     def render(self, job: RenderJob) -> LayerStack:
         """Render one job; raises `BackendError` with the value and the remedy."""
         action, name = split_variant(job.scene, job.variant)
