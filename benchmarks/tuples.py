@@ -2,7 +2,8 @@
 
 Both ways render the same sampled scene with Cycles at the same size and samples, in one run, alternating views.
 With C conditions a view and object give C x C tuples. Rendering every condition anew costs C full renders of the
-scene with everything, C without the object, and C of the object alone; light by light costs one of each.
+scene with everything and C without the object (a mask then cuts the object out); light by light costs one of each,
+and one of the object alone.
 
     python benchmarks/tuples.py --size 256 --spp 16 --views 3 --conditions 12
 """
@@ -55,9 +56,9 @@ def one_by_one(backend: Backend, scene: SceneSpec, rigs: list[LightRig], setting
     for rig in rigs:
         stacks = [
             backend.render(RenderJob(scene, rig, settings, view, variant))
-            for variant in ("all", f"without_{name}", f"foreground_{name}")
+            for variant in ("all", f"without_{name}")
         ]
-        for stack in stacks[:2]:
+        for stack in stacks:
             whole = type(stack)(
                 ("all",),
                 stack.combined[None],
@@ -123,12 +124,9 @@ def main(options: Options) -> None:
     print(
         f"{options.size}x{options.size}, {options.spp} spp, {len(rig.lights)} lights, {tuples} tuples a view and object"
     )
-    print(
-        f"light by light:           {np.median(ours) / tuples:9.5f} s a tuple ({np.median(ours):.2f} s a view and object)"
-    )
-    print(
-        f"one render a condition:   {np.median(theirs) / tuples:9.5f} s a tuple ({np.median(theirs):.2f} s a view and object)"
-    )
+    for title, seconds in (("light by light", ours), ("one render a condition", theirs)):
+        median = np.median(seconds)
+        print(f"{title + ':':26}{median / tuples:9.5f} s a tuple ({median:.2f} s a view and object)")
     print(f"ratio, view by view:      {np.median(np.array(theirs) / np.array(ours)):9.1f}")
 
 

@@ -58,7 +58,7 @@ def _library(which: str | None) -> tuple[AssetLibrary, str | None]:
     if which is None:
         return AssetLibrary(), None
     if Path(which).is_dir():
-        folder = Path(which)
+        folder = Path(which).resolve()
         return AssetLibrary(folders=(folder,)), folder.name
     library = AssetLibrary()
     packs = sorted({info.pack for role in ROLES for info in library.list(role)})

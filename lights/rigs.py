@@ -24,7 +24,7 @@ from lights.spec import AreaLight, EmissiveLight, EnvironmentLight, Light, Light
 from lights.tonemap import luminance
 from scenes.assets.library import AssetLibrary
 from scenes.cameras import look_at, matrix4
-from scenes.frozen import Rgb
+from scenes.frozen import Rgb, Vector3
 from scenes.spec import SceneSpec
 from scenes.streams import Streams
 from scenes.tabletop import emissive_candidate
@@ -80,8 +80,9 @@ def sample_rig(
 ) -> LightRig:
     """Draw a rig of `lights` (fewest, most) lights of the given kinds for a scene.
 
-    There is always a key (a lamp, or the sun) from the side or the back, so that shadows fall into view; nearly
-    always an environment; the object that is meant to glow glows. Every lamp has a free line of sight.
+    There is always a key lamp from the side or the back, so that shadows fall into view; nearly
+    always an environment; the object that is meant to glow glows. Every lamp has a free line of sight. Raises
+    `ValueError` where `kinds` holds no lamp (point, spot, area).
     """
     rng = streams("rig")
     place = StillLife.of(scene, library)
@@ -90,6 +91,8 @@ def sample_rig(
     strength: list[float] = []
     posts = [_KEY, *(_OTHERS[int(i)] for i in rng.permutation(len(_OTHERS)))]
     lamp_kinds: list[str] = [kind for kind in ("point", "spot", "area") if kind in kinds]
+    if not lamp_kinds:
+        raise ValueError(f"a rig needs a lamp to be its key: kinds {kinds} hold none of point, spot, area")
     glow = emissive_candidate(scene) if "emissive" in kinds else None
     enclosed = any(body.category in ("wall", "backdrop") for body in scene.bodies)
     # On open ground the environment is the horizon: without it the picture ends in black.
@@ -157,9 +160,13 @@ def _colour(rng: np.random.Generator, *, gels: float, middle: float = 4600.0) ->
     if rng.random() >= gels:
         return white, temperature, None
     gel = random_gel(rng)
-    filtered = (a * b for a, b in zip(white, gel_rgb(gel), strict=True))
-    red, green, blue = filtered
+    red, green, blue = (a * b for a, b in zip(white, gel_rgb(gel), strict=True))
     return rgb_from_scalar(1.0, (red, green, blue)), temperature, gel
+
+
+def _vector(values: Float64) -> Vector3:
+    """Turn an array (3,) into the tuple that specifications hold."""
+    return float(values[0]), float(values[1]), float(values[2])
 
 
 def direction_from(azimuth: float, elevation: float) -> Float64:
@@ -181,33 +188,32 @@ def _lamp(
     watts = watts_from_photometric(1.0)
     about = {"name": post.name, "colour_temperature": temperature, "gel": gel}
     distance = float(np.linalg.norm(position - place.aim))
-    spot = (float(position[0]), float(position[1]), float(position[2]))
     match kind:
         case "point":
             intensity = _times(rgb, point_intensity_from_flux(watts))
-            return PointLight(**about, position=spot, intensity=intensity, radius=size)
+            return PointLight(**about, position=_vector(position), intensity=intensity, radius=size)
         case "spot":
             half = float(np.clip(np.arctan(place.radius * rng.uniform(1.0, 1.8) / distance), 0.3, 1.0))
-            way = (place.aim - position) / distance
             return SpotLight(
                 **about,
-                position=spot,
-                direction=(float(way[0]), float(way[1]), float(way[2])),
+                position=_vector(position),
+                direction=_vector((place.aim - position) / distance),
                 intensity=_times(rgb, spot_intensity_from_flux(watts, half)),
                 half_angle=half,
                 blend=float(rng.uniform(0.1, 0.7)),
                 radius=size,
             )
-    shape: Literal["rectangle", "disk"] = "disk" if rng.random() < 0.35 else "rectangle"
-    area = width * height * (np.pi / 4 if shape == "disk" else 1.0)
-    return AreaLight(
-        **about,
-        shape=shape,
-        width=width,
-        height=height,
-        world_from_light=matrix4(_facing(position, place.aim)),
-        radiance=_times(rgb, area_radiance_from_flux(watts, area)),
-    )
+        case _:
+            disk = rng.random() < 0.35
+            area = width * height * (np.pi / 4 if disk else 1.0)
+            return AreaLight(
+                **about,
+                shape="disk" if disk else "rectangle",
+                width=width,
+                height=height,
+                world_from_light=matrix4(_facing(position, place.aim)),
+                radiance=_times(rgb, area_radiance_from_flux(watts, area)),
+            )
 
 
 def _facing(position: Float64, aim: Float64) -> Float64:
@@ -250,8 +256,7 @@ def _environment(rng: np.random.Generator, place: StillLife, *, uniform: bool) -
     open_share = place.open_share(np.array([direction_from(azimuth, 0.5) for azimuth in wanted]))
     chosen = float(wanted[int(np.argmax(open_share >= min(SEEN, float(open_share.max()))))])
     rotation = (chosen - float(np.arctan2(mean[1], mean[0]))) % (2 * np.pi)
-    tint = rgb_from_scalar(1.0, (1.0, 1.0, 1.0))
-    return EnvironmentLight(name="environment", map=info.id, radiance=tint, rotation=rotation)
+    return EnvironmentLight(name="environment", map=info.id, rotation=rotation)
 
 
 def _sun(rng: np.random.Generator, place: StillLife, *, hard: bool) -> SunLight | None:
@@ -266,10 +271,10 @@ def _sun(rng: np.random.Generator, place: StillLife, *, hard: bool) -> SunLight 
     # Low suns are warm, high ones white (CIE daylight).
     warm = float(np.interp(elevation[free[0]], [0.35, 1.1], [3200.0, 5600.0]))
     rgb, temperature, _ = _colour(rng, middle=warm, gels=0.0)
-    way = -towards[free[0]]
     angle = 0.00918 if hard or rng.random() < 0.5 else _log_uniform(rng, 0.00918, 0.06)
-    direction = (float(way[0]), float(way[1]), float(way[2]))
-    return SunLight(name="sun", colour_temperature=temperature, direction=direction, irradiance=rgb, angle=angle)
+    return SunLight(
+        name="sun", colour_temperature=temperature, direction=_vector(-towards[free[0]]), irradiance=rgb, angle=angle
+    )
 
 
 def _glow(rng: np.random.Generator, body: str, part: int) -> EmissiveLight:

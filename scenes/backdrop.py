@@ -6,13 +6,13 @@ from scenes.primitives import Surface, from_grid
 from scenes.spec import Material
 
 SWEEP_ID = "builtin/sweep-01"
-SWEEP_WIDTH, SWEEP_DEPTH, SWEEP_HEIGHT, SWEEP_RADIUS = 6.0, 5.0, 3.2, 0.8
+SWEEP_WIDTH, SWEEP_DEPTH, SWEEP_HEIGHT, SWEEP_RADIUS = 9.0, 6.0, 4.0, 0.8
 
 
 def sweep(*, steps: int = 48) -> Surface:
     """Make the paper, centred in x and y, its floor at z = 0 and its wall at +Y; uv in metres.
 
-    6 m wide, 5 m deep, 3.2 m high, a bend of 0.8 m radius; it faces up and towards -Y.
+    9 m wide, 6 m deep, 4 m high, a bend of 0.8 m radius; it faces up and towards -Y.
     """
     angle = np.linspace(0.0, np.pi / 2, steps + 1)
     front, wall = -SWEEP_DEPTH / 2, SWEEP_DEPTH / 2

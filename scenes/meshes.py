@@ -74,7 +74,7 @@ def save_mesh(mesh: Mesh, path: Path) -> None:
 
 def load_mesh(path: Path) -> Mesh:
     """Read what `save_mesh` wrote; never unpickles."""
-    with np.load(path, allow_pickle=False) as data:
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
         header = _Header.from_json(data["header"].tobytes().decode())
         return Mesh(
             tuple(

@@ -13,6 +13,8 @@ SMALLEST, LARGEST = 0.02, 0.55
 """Longest side [m] of objects that may stand on a table."""
 INSERTABLE = (0.06, 0.45)
 """Longest side [m] of insertable objects."""
+THIN = 0.03
+"""Their middle side is at least this long [m]: pencils and spoons are clutter."""
 TALL, SMALL = 0.17, 0.12
 """A scene holds an object at least `TALL` [m] high and one whose longest side is at most `SMALL` [m]."""
 CROWDING = 0.35
@@ -78,11 +80,16 @@ def choose_objects(
 def _suits(info: AssetInfo, slot: int, insertable: int) -> bool:
     """Tell whether an object suits a slot: the first is tall, the second small, enough of them insertable."""
     size: Size = info.size or (0.0, 0.0, 0.0)
-    if slot < insertable + 1 and not INSERTABLE[0] <= max(size) <= INSERTABLE[1]:
+    if slot < insertable + 1 and not _is_insertable(size):
         return False
     if slot == 0:
         return size[2] >= TALL
     return slot != 1 or max(size) <= SMALL
+
+
+def _is_insertable(size: Size) -> bool:
+    """Tell whether an object of that size (x, y, z) [m] is neither tiny, thin nor huge."""
+    return INSERTABLE[0] <= max(size) <= INSERTABLE[1] and sorted(size)[1] >= THIN
 
 
 def _unused(infos: list[AssetInfo], chosen: list[Standing]) -> list[AssetInfo]:
@@ -119,7 +126,7 @@ def _stand(rng: np.random.Generator, library: AssetLibrary, info: AssetInfo) -> 
 
 def _choose_insertable(rng: np.random.Generator, chosen: list[Standing], count: int, glowing: int | None) -> list[int]:
     """Draw which objects are insertable, the glowing one in four scenes of five."""
-    fit = [i for i, item in enumerate(chosen) if INSERTABLE[0] <= item.largest <= INSERTABLE[1]]
+    fit = [i for i, item in enumerate(chosen) if _is_insertable(item.info.size or (0.0, 0.0, 0.0))]
     if len(fit) < count:
         raise PlacementError(f"only {len(fit)} objects have a size for insertion, need {count}")
     picked: NDArray[np.int64] = rng.choice(len(fit), size=count, replace=False)

@@ -23,7 +23,7 @@ from scenes.selection import choose_objects, choose_table
 from scenes.spec import Body, Camera, Material, MeshAsset, Role, SceneSpec
 from scenes.streams import Streams
 from scenes.support import SupportSurface
-from scenes.surroundings import KINDS, SHARES, Surrounding, sample_surrounding
+from scenes.surroundings import KINDS, SHARES, Surrounding, SurroundingKind, sample_surrounding
 from scenes.trajectory import Subject, TrajectoryError, sample_trajectory
 
 ATTEMPTS = 12
@@ -63,6 +63,16 @@ class TabletopSettings(Frozen):
 
 
 @dataclass(frozen=True)
+class _Plan:
+    """What is wanted of a still life in one attempt."""
+
+    attempt: int
+    objects: int
+    insertable: int
+    glows: bool
+
+
+@dataclass(frozen=True)
 class _Set:
     """The table where it stands, and what is around it."""
 
@@ -96,27 +106,34 @@ def sample_tabletop(streams: Streams, library: AssetLibrary, *, index: int, sett
     reason: Exception | None = None
     for attempt in range(ATTEMPTS):
         try:
-            rng = streams(f"table/{attempt}")
-            info, mesh, surface = choose_table(rng, library)
-            table = _table(rng, library, info, mesh, surface, aligned=kind != "ground")
-            bounds = body_triangles(table, library)[0]
-            around = sample_surrounding(
-                streams(f"surrounding/{attempt}"), library, kind=kind,
-                table=np.stack([bounds.min(axis=0), bounds.max(axis=0)]),
-            )  # fmt: skip
-            scenery = _Set(table, surface, around)
-            objects, subject = _still_life(streams, library, scenery, (attempt, count, glows, settings.insertable))
+            scenery = _scenery(streams, library, kind, attempt)
+            plan = _Plan(attempt, count, settings.insertable, glows)
+            objects, subject = _still_life(streams, library, scenery, plan)
             cameras = sample_trajectory(
-                streams(f"trajectory/{attempt}"), subject,
-                width=settings.width, height=settings.height, views=settings.views,
-            )  # fmt: skip
+                streams(f"trajectory/{attempt}"),
+                subject,
+                width=settings.width,
+                height=settings.height,
+                views=settings.views,
+            )
         except (PlacementError, TrajectoryError) as error:
             reason = error
             continue
-        return _turned(index, (*around.bodies, table, *objects), cameras, turn)
+        return _turned(index, (*scenery.surrounding.bodies, scenery.table, *objects), cameras, turn)
     raise SceneSamplingError(
         f"seed {streams.seed}, scene {index}: no attempt of {ATTEMPTS} succeeded; the last: {reason}"
     )
+
+
+def _scenery(streams: Streams, library: AssetLibrary, kind: SurroundingKind, attempt: int) -> _Set:
+    """Draw the table and what is around it."""
+    rng = streams(f"table/{attempt}")
+    info, mesh, surface = choose_table(rng, library)
+    table = _table(rng, library, info, mesh, surface, aligned=kind != "ground")
+    corners = body_triangles(table, library)[0]
+    extent = np.stack([corners.min(axis=0), corners.max(axis=0)])
+    around = sample_surrounding(streams(f"surrounding/{attempt}"), library, kind=kind, table=extent)
+    return _Set(table, surface, around)
 
 
 def emissive_candidate(scene: SceneSpec) -> tuple[str, int] | None:
@@ -158,18 +175,17 @@ def _table(
     return _body("table", "support", info, mesh, materials, _about_z(angle))
 
 
-def _still_life(
-    streams: Streams, library: AssetLibrary, scenery: _Set, plan: tuple[int, int, bool, int]
-) -> tuple[list[Body], Subject]:
-    """Choose, arrange and clothe the objects, and say what the cameras should look at.
-
-    `plan`: attempt, number of objects, whether one glows, number of insertable objects.
-    """
-    attempt, count, glows, insertable = plan
+def _still_life(streams: Streams, library: AssetLibrary, scenery: _Set, plan: _Plan) -> tuple[list[Body], Subject]:
+    """Choose, arrange and clothe the objects, and say what the cameras should look at."""
+    attempt = plan.attempt
     items, chosen, glowing = choose_objects(
-        streams(f"objects/{attempt}"), library,
-        count=count, insertable=insertable, area=scenery.surface.area, glows=glows,
-    )  # fmt: skip
+        streams(f"objects/{attempt}"),
+        library,
+        count=plan.objects,
+        insertable=plan.insertable,
+        area=scenery.surface.area,
+        glows=plan.glows,
+    )
     rng = streams(f"placement/{attempt}")
     stage = scenery.stage(rng)
     # Large things first: small ones find room between them.

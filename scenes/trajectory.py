@@ -105,7 +105,7 @@ def _cameras(
     rng: np.random.Generator, arc: _Arc, subject: Subject, size: tuple[int, int], views: int
 ) -> tuple[Camera, ...]:
     """Place the cameras along an arc, with the slight unrest of a hand."""
-    step = np.linspace(0.0, 1.0, views)
+    step = np.linspace(0.0, 1.0, views) if views > 1 else np.array([0.6])
     # Azimuth runs evenly; the approach starts gently and ends gently.
     ease = 0.5 * step + 0.5 * step**2 * (3 - 2 * step)
     far_aim = 0.5 * _middle(subject.group) + 0.5 * subject.table.mean(axis=0)

@@ -26,7 +26,7 @@ from scenes.assets.surfaces import TABLE as TEXTURE_TABLE
 from scenes.assets.sweethome3d import SweetHome3dPack
 from scenes.spec import Material
 
-CUP = "sweethome3d/cup"
+CUP = "sweethome3d/cup-flowers"
 
 
 @pytest.fixture(scope="module")
@@ -108,6 +108,14 @@ def test_converted_meshes_are_read_back_the_same(library: AssetLibrary) -> None:
     assert list((library.cache / "meshes" / "builtin").glob("*.npz"))
 
 
+def test_a_damaged_converted_mesh_is_made_again(library: AssetLibrary) -> None:
+    before = set((library.cache / "meshes").rglob("*.npz"))
+    wanted = library.mesh("builtin/die-01").sha256()
+    (path,) = set((library.cache / "meshes").rglob("*.npz")) - before
+    path.write_bytes(path.read_bytes()[:100])
+    assert library.mesh("builtin/die-01").sha256() == wanted
+
+
 def _hash_of(cache: Path, asset: str) -> str:
     return AssetLibrary(cache, packs=("builtin",)).mesh(asset).sha256()
 
@@ -135,7 +143,7 @@ def test_textures_are_made_once_with_their_normal_maps(library: AssetLibrary) ->
     ("asset", "words"),
     [
         ("builtin/no-such", "assets list"),
-        ("sweethome3d/cup", "assets fetch sweethome3d"),
+        ("sweethome3d/cup-flowers", "assets fetch sweethome3d"),
         ("builtin/wood-oak", "not a model"),
     ],
 )
@@ -245,6 +253,7 @@ def test_materials_follow_names_and_opacity() -> None:
     assert material_of(entry("porcelain"), category="cup", closed=True).coat > 0
     assert material_of(entry("oak"), category="table", closed=True).metallic == 0
     assert material_of(entry("x", opacity=0.2), category="glass", closed=True).transmission == 1
+    assert material_of(entry("black_rough", opacity=0.85), category="electronics", closed=True).opacity == 1
     thin = material_of(entry("x", opacity=0.2), category="glass", closed=False)
     assert (thin.transmission, thin.opacity) == (0, 0.2)
     assert material_of(entry("k", diffuse=(0, 0, 0)), category="x", closed=True).base_color == (0.02, 0.02, 0.02)
@@ -308,7 +317,7 @@ def folder(tmp_path: Path) -> Path:
 
 def test_folder_of_models(folder: Path, tmp_path: Path) -> None:
     library = AssetLibrary(tmp_path / "cache", packs=("builtin",), folders=(folder,))
-    info = library.info("my-things/tall-box")
+    info = library.info("My Things/tall-box")
     assert (info.category, info.licence) == ("box", "MIT")
     assert np.allclose(info.size or 0, (0.1, 0.2, 0.3))
     (part,) = library.mesh(info.id).parts
@@ -317,8 +326,8 @@ def test_folder_of_models(folder: Path, tmp_path: Path) -> None:
     assert part.material.base_color_texture is not None
     with Image.open(library.texture_path(part.material.base_color_texture.image)) as image:
         assert image.getpixel((0, 0)) == (10, 200, 30)
-    problems = check_assets(library, "my-things")
-    assert [asset for asset, _ in problems] == ["my-things/broken"]
+    problems = check_assets(library, "My Things")
+    assert [asset for asset, _ in problems] == ["My Things/broken"]
     assert "broken.glb" in problems[0][1]
 
 
@@ -342,13 +351,13 @@ def test_folder_without_a_table_and_wrong_units(folder: Path, tmp_path: Path) ->
     (folder / "assets.csv").unlink()
     trimesh.creation.box((900, 900, 900)).export(folder / "huge.obj")
     library = AssetLibrary(tmp_path / "cache", packs=("builtin",), folders=(folder,))
-    assert {i.id for i in library.list("object") if i.pack == "my-things"} == {
-        "my-things/box",
-        "my-things/broken",
-        "my-things/huge",
+    assert {i.id for i in library.list("object") if i.pack == "My Things"} == {
+        "My Things/box",
+        "My Things/broken",
+        "My Things/huge",
     }
     with pytest.raises(AssetError, match="metres_per_unit"):
-        library.mesh("my-things/huge")
+        library.mesh("My Things/huge")
 
 
 def exr_bytes(tmp_path: Path) -> bytes:

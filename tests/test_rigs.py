@@ -114,6 +114,8 @@ def test_only_the_kinds_asked_for(lit: list[tuple[SceneSpec, LightRig]], library
     rig = sample_rig(Streams(0, 0), lit[0][0], library, kinds=("area", "environment"), lights=(2, 2))
     assert sorted(light.kind for light in rig.lights) in (["area", "environment"], ["area", "area"])
     assert set(SPHERES_KINDS) < set(ALL_KINDS)
+    with pytest.raises(ValueError, match="none of point, spot, area"):
+        sample_rig(Streams(0, 0), lit[0][0], library, kinds=("environment",))
 
 
 def test_spheres_get_uniform_environments_and_hard_lamps(library: AssetLibrary) -> None:

@@ -112,12 +112,14 @@ def material_of(entry: MtlEntry, *, category: str, closed: bool) -> Material:
     )
     if material.metallic and max(entry.diffuse) < 0.25:
         material = material.model_copy(update={"metallic": 0.0, "coat": 0.3})
-    return _see_through(material, entry, closed) if entry.opacity < 0.95 and not textured else material
+    glassy = entry.opacity < 0.6 or any(word in words for word in GLASS_WORDS)
+    # Authors write 0.8 to 0.9 for all sorts of opaque plastic.
+    see_through = entry.opacity < (0.95 if glassy else 0.75) and not textured
+    return _see_through(material, entry, solid_glass=glassy and closed) if see_through else material
 
 
-def _see_through(material: Material, entry: MtlEntry, closed: bool) -> Material:
-    glassy = entry.opacity < 0.6 or any(re.search(word, entry.name.lower()) for word in GLASS_WORDS)
-    if glassy and closed:
+def _see_through(material: Material, entry: MtlEntry, *, solid_glass: bool) -> Material:
+    if solid_glass:
         tint = np.array(linear(entry.diffuse))
         tint = 1 - (1 - tint / max(float(tint.max()), 1e-3)) * 0.8
         r, g, b = (float(v) for v in 0.97 * tint)

@@ -52,7 +52,7 @@ class FolderPack:
         if not folder.is_dir():
             raise AssetError(f"{folder} is not a folder")
         self._folder, self._cache = folder.resolve(), cache
-        self.name = _slug(self._folder.name)
+        self.name = self._folder.name
         self._key = sources_key(__file__, cleaning.__file__)
 
     @cached_property

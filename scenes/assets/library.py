@@ -1,6 +1,7 @@
 """The one place that finds, loads and lists assets by id (`pack/name`)."""
 
 import hashlib
+import zipfile
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
@@ -109,8 +110,12 @@ class AssetLibrary:
         pack, name = self._pack(asset)
         key = hashlib.sha256(f"{name} {pack.mesh_key(name)}".encode()).hexdigest()[:24]
         path = self.cache / "meshes" / info.pack / f"{key}.npz"
-        if path.exists():
+        try:
             return load_mesh(path)
+        except FileNotFoundError:
+            pass
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+            path.unlink(missing_ok=True)  # damaged by a full or failing disk: convert again
         mesh = pack.mesh(name)
         try:
             save_mesh(mesh, path)

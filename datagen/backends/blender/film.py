@@ -20,7 +20,7 @@ _LAYER = "view"
 
 
 def configure(settings: RenderSettings, lights: tuple[str, ...]) -> None:
-    """Set what stays the same between the jobs of a scene: an unbiased render, one light group a light."""
+    """Set what stays the same between the jobs of a scene: paths without clamping, one light group a light."""
     scene = bpy.context.scene
     scene.render.engine = "CYCLES"
     scene.render.resolution_percentage = 100
@@ -46,11 +46,11 @@ def _configure_cycles(cycles: bpy.types.PropertyGroup, settings: RenderSettings)
     cycles.transmission_bounces = settings.max_bounces
     cycles.transparent_max_bounces = 32
     cycles.caustics_reflective = cycles.caustics_refractive = True
-    # Tames fireflies at a bias below 1 % of a layer's mean, seen only where caustics fall.
+    # Tames fireflies; measured bias about 1 % of a layer's mean, all of it where caustics fall.
     cycles.blur_glossy = 0.25
-    # The light tree samples lights by power and starves the weak ones, whose layers are worth as much as the
-    # strong ones' here; without it each lamp gets the same share of the samples.
-    cycles.use_light_tree = False
+    # Where a rig's lights are in balance, the layers' noise is equal to or up to a third below that of picking
+    # blindly, which gives all glowing meshes together half of the samples. (Very unequal rigs would prefer that.)
+    cycles.use_light_tree = True
 
 
 def _configure_passes(layer: bpy.types.ViewLayer, lights: tuple[str, ...]) -> None:
