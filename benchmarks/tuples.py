@@ -17,7 +17,7 @@ import tyro
 from datagen.backends import Backend, RenderJob, RenderSettings, open_backend
 from datagen.compose import composite, target
 from datagen.config import DatasetConfig
-from datagen.denoise import denoise_all, denoise_without, foreground_layers
+from datagen.denoise import denoise_all, denoise_foreground, denoise_without
 from datagen.produce import sample_scene
 from datagen.store import ViewData
 from lights.conditions import sample_conditions
@@ -55,8 +55,7 @@ def one_by_one(backend: Backend, scene: SceneSpec, rigs: list[LightRig], setting
     name = scene.insertable[0]
     for rig in rigs:
         stacks = [
-            backend.render(RenderJob(scene, rig, settings, view, variant))
-            for variant in ("all", f"without_{name}")
+            backend.render(RenderJob(scene, rig, settings, view, variant)) for variant in ("all", f"without_{name}")
         ]
         for stack in stacks:
             whole = type(stack)(
@@ -93,7 +92,7 @@ def light_by_light(
         {
             "all": clean,
             f"without_{name}": denoise_without(without, everything, clean, 0),
-            f"foreground_{name}": foreground_layers(foreground, everything, clean),
+            f"foreground_{name}": denoise_foreground(foreground, clean, 0),
         },
         {name: foreground.coverage},
         everything.geometry,

@@ -12,6 +12,8 @@ from scipy.ndimage import binary_dilation, gaussian_filter
 
 from datagen.layers import Float32, LayerStack
 
+WHOLE = (slice(None), slice(None))
+CROP, MARGIN = 64, 16  # pixels: sizes are multiples, so that few filters are made; what a denoiser sees beyond an edge
 SEAM = 3  # pixels round a changed one in which a variant may differ from `all`
 
 
@@ -37,17 +39,44 @@ def denoise_without(stack: LayerStack, everything: LayerStack, clean: Float32, t
     return layers
 
 
-def foreground_layers(foreground: LayerStack, everything: LayerStack, clean: Float32) -> Float32:
-    """Give an object its share of the clean picture: premultiplied radiance, (L, H, W, 3).
+def foreground_layers(foreground: LayerStack, clean: Float32) -> Float32:
+    """Give an object its own part of the clean picture: premultiplied radiance, (L, H, W, 3).
 
-    The share is measured between the raw renders, whose samples are the same, so it is exactly one inside
-    the object and zero outside.
+    Inside the object that is variant `all` itself and outside it is nothing; on its outline the object's own
+    samples are denoised apart from what lies behind, so that nothing of that bleeds in.
     """
+    return _inside_all(foreground, clean, foreground.radiance)
+
+
+def denoise_foreground(foreground: LayerStack, clean: Float32, threads: int) -> Float32:
+    """Denoise an object's own part of the picture, as `foreground_layers`, (L, H, W, 3)."""
     assert foreground.coverage is not None
-    raw, raw_all = foreground.radiance, everything.radiance
-    share = np.divide(raw, raw_all, out=np.zeros_like(raw), where=raw_all > 0)
-    share = np.where(foreground.coverage[..., None] >= 1.0, np.float32(1.0), share.clip(0.0, 1.0))
-    return np.where(foreground.coverage[..., None] <= 0.0, np.float32(0.0), share * clean)
+    rows, columns = _crop(foreground.coverage > 0)
+    layers = np.zeros_like(clean)
+    for i, raw in enumerate(foreground.radiance):
+        layers[i, rows, columns] = _denoise(raw, foreground, threads, (rows, columns))
+    return _inside_all(foreground, clean, layers)
+
+
+def _inside_all(foreground: LayerStack, clean: Float32, edge: Float32) -> Float32:
+    assert foreground.coverage is not None
+    alpha = foreground.coverage[..., None]
+    return np.where(alpha >= 1.0, clean, np.where(alpha <= 0.0, np.float32(0.0), edge))
+
+
+def _crop(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
+    """Return rows and columns that hold all of a mask, with a margin, in few different sizes."""
+
+    def span(hit: NDArray[np.bool_]) -> slice:
+        where = np.flatnonzero(hit)
+        if where.size == 0:
+            return slice(0, min(CROP, len(hit)))
+        start = max(0, int(where[0]) - MARGIN)
+        length = -(-(int(where[-1]) + 1 + MARGIN - start) // CROP) * CROP
+        start = max(0, min(start, len(hit) - length))
+        return slice(start, min(start + length, len(hit)))
+
+    return span(mask.any(axis=1)), span(mask.any(axis=0))
 
 
 def _soft_mask(changed: NDArray[np.bool_]) -> Float32:
@@ -65,15 +94,18 @@ def _device(threads: int) -> Any:
     return device
 
 
-def _denoise(layer: Float32, stack: LayerStack, threads: int) -> Float32:
+def _denoise(layer: Float32, stack: LayerStack, threads: int, crop: tuple[slice, slice] = WHOLE) -> Float32:
     import mitsuba_oidn
 
+    layer = layer[crop]
     if not layer.any():
         return layer
+    assert stack.guide_albedo is not None
+    assert stack.guide_normal is not None
     clean = mitsuba_oidn.denoise(
         np.ascontiguousarray(layer),
-        albedo=np.ascontiguousarray(stack.guide_albedo),
-        normal=np.ascontiguousarray(stack.guide_normal),
+        albedo=np.ascontiguousarray(stack.guide_albedo[crop]),
+        normal=np.ascontiguousarray(stack.guide_normal[crop]),
         hdr=True,
         device=_device(threads),
     )

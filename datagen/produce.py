@@ -9,7 +9,7 @@ import numpy as np
 
 from datagen.backends import Backend, RendererName, RenderJob, RenderSettings
 from datagen.config import DatasetConfig
-from datagen.denoise import denoise_all, denoise_without, foreground_layers
+from datagen.denoise import denoise_all, denoise_foreground, denoise_without, foreground_layers
 from datagen.errors import UserError, full_disk_told
 from datagen.exposure import meter_condition, thumbnail
 from datagen.layers import Float32, LayerStack
@@ -43,6 +43,11 @@ class Maker:
     library: AssetLibrary
     backend: Backend
     threads: int
+
+    @property
+    def denoises(self) -> bool:
+        """Whether layers are denoised: a closed form has no noise."""
+        return self.config.denoise and self.renderer != "analytic"
 
 
 def sample_scene(config: DatasetConfig, library: AssetLibrary, streams: Streams) -> tuple[SceneSpec, LightRig]:
@@ -109,6 +114,7 @@ def _write_scene(maker: Maker, index: int, attempt: int, work: Path) -> None:
         index=index,
         attempt=attempt,
         renderer=maker.renderer,
+        denoised=maker.denoises,
         scene=scene,
         scene_sha256=scene.sha256(),
         rig=rig,
@@ -124,23 +130,26 @@ def _write_scene(maker: Maker, index: int, attempt: int, work: Path) -> None:
 def render_view(maker: Maker, scene: SceneSpec, rig: LightRig, view: int) -> tuple[ViewData, float]:
     """Render all variants of a view; also returns how far the raw layers are from the combined render."""
     settings = RenderSettings(spp=maker.config.spp, threads=maker.threads)
-    denoised = maker.config.denoise and maker.renderer != "analytic"
 
     def render(variant: str) -> LayerStack:
         return maker.backend.render(RenderJob(scene, rig, settings, view, variant))
 
     everything = render("all")
     assert everything.geometry is not None
-    clean = denoise_all(everything, maker.threads) if denoised else everything.radiance
+    clean = denoise_all(everything, maker.threads) if maker.denoises else everything.radiance
     variants: dict[str, Float32] = {"all": clean}
     coverage: dict[str, Float32] = {}
     for name in scene.insertable:
         without, foreground = render(f"without_{name}"), render(f"foreground_{name}")
         assert foreground.coverage is not None
         variants[f"without_{name}"] = (
-            denoise_without(without, everything, clean, maker.threads) if denoised else without.radiance
+            denoise_without(without, everything, clean, maker.threads) if maker.denoises else without.radiance
         )
-        variants[f"foreground_{name}"] = foreground_layers(foreground, everything, clean)
+        variants[f"foreground_{name}"] = (
+            denoise_foreground(foreground, clean, maker.threads)
+            if maker.denoises
+            else foreground_layers(foreground, clean)
+        )
         coverage[name] = foreground.coverage
     data = ViewData(rig.names, variants, coverage, everything.geometry, everything.combined)
     return data, additivity_residual(everything)

@@ -59,13 +59,15 @@ class ViewRecord(Frozen):
 class SceneRecord(Schema):
     """Everything about one scene: `scenes/000123/scene.json`.
 
-    `attempt` counts the draws that were thrown away because a check failed; `conditions` carry metered exposures.
+    `attempt` counts the draws that were thrown away because a check failed; `denoised` layers are cleaned one by one;
+    `conditions` carry metered exposures.
     """
 
     seed: int
     index: Annotated[int, Field(ge=0)]
     attempt: Annotated[int, Field(ge=0)]
     renderer: RendererName
+    denoised: bool
     scene: SceneSpec
     scene_sha256: str
     rig: LightRig

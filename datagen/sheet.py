@@ -36,11 +36,11 @@ def effect_picture(effect: Float32) -> Pixels:
 
 
 def two_conditions(record: SceneRecord, shift: int) -> tuple[LightingCondition, LightingCondition]:
-    """Choose the lighting of the inserted object and of the base picture, unlike each other."""
-    count = len(record.conditions)
-    base = record.conditions[shift % count]
-    insert = record.conditions[(shift + max(1, count // 2)) % count]
-    return insert, base
+    """Choose the lighting of the inserted object (few lights) and of the base picture (many lights)."""
+    by_lights = sorted(record.conditions, key=lambda condition: -len(condition.gains))
+    half = max(1, len(by_lights) // 2)
+    rich, poor = by_lights[:half], by_lights[half:] or by_lights
+    return poor[shift % len(poor)], rich[shift % len(rich)]
 
 
 def scene_row(folder: Path, record: SceneRecord, *, view: int, shift: int) -> list[Pixels]:

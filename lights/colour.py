@@ -64,12 +64,18 @@ def temperature_to_rgb(kelvin: float) -> Rgb:
     return rgb_from_scalar(1.0, (red, green, blue))
 
 
-def gel_rgb(name: str) -> Rgb:
-    """Return the linear Rec.709 RGB of unit luminance of a gel under white light; raises `ValueError`."""
+def gel_rgb(name: str, density: float = 1.0) -> Rgb:
+    """Return the linear Rec.709 RGB of unit luminance of a gel under white light.
+
+    `density` in [0, 1] mixes it with white, as a gel that covers part of a lamp does. Raises `ValueError` for a
+    name that is not in `GELS`.
+    """
     if name not in GELS:
         raise ValueError(f"no gel {name!r}; there are {', '.join(sorted(GELS))}")
     red, green, blue = (float(channel) for channel in srgb_decode(np.array(GELS[name]) / 255.0))
-    return rgb_from_scalar(1.0, (red, green, blue))
+    red, green, blue = rgb_from_scalar(1.0, (red, green, blue))
+    pale = 1.0 - density
+    return pale + density * red, pale + density * green, pale + density * blue
 
 
 def random_gel(rng: np.random.Generator) -> str:

@@ -56,12 +56,12 @@ def _condition(rng: np.random.Generator, name: str, lit: tuple[str, ...]) -> Lig
 
 
 def _tint(rng: np.random.Generator) -> Rgb:
-    """Draw a change of colour at constant luminance of white: none, another colour temperature, or a gel."""
+    """Draw a change of colour at constant luminance of white: none, another colour temperature, or a pale gel."""
     kind = rng.random()
-    if kind < 0.4:
+    if kind < 0.45:
         return WHITE
-    if kind < 0.85:
-        new, old = (temperature_to_rgb(1.0 / float(rng.uniform(1 / 9000, 1 / 2500))) for _ in range(2))
+    if kind < 0.92:
+        new, old = (temperature_to_rgb(1.0 / float(rng.uniform(1 / 8000, 1 / 3000))) for _ in range(2))
         ratio = [float(np.clip(a / max(b, 1e-3), 0.1, 10.0)) for a, b in zip(new, old, strict=True)]
         return rgb_from_scalar(1.0, (ratio[0], ratio[1], ratio[2]))
-    return gel_rgb(random_gel(rng))
+    return gel_rgb(random_gel(rng), float(rng.uniform(0.3, 0.8)))

@@ -159,8 +159,8 @@ def _colour(rng: np.random.Generator, *, gels: float, middle: float = 4600.0) ->
     white = temperature_to_rgb(temperature)
     if rng.random() >= gels:
         return white, temperature, None
-    gel = random_gel(rng)
-    red, green, blue = (a * b for a, b in zip(white, gel_rgb(gel), strict=True))
+    gel, density = random_gel(rng), float(rng.uniform(0.4, 0.95))
+    red, green, blue = (a * b for a, b in zip(white, gel_rgb(gel, density), strict=True))
     return rgb_from_scalar(1.0, (red, green, blue)), temperature, gel
 
 
@@ -182,9 +182,9 @@ def _lamp(
     shares = np.array([LAMP_SHARES[kind] for kind in kinds])
     kind = str(rng.choice(kinds, p=shares / shares.sum()))
     width, height = (float(v) for v in _log_uniform(rng, 0.15, 0.7) * np.exp(rng.uniform(-0.3, 0.3, 2)))
-    size = max(width, height) / 2 if kind == "area" else 0.0 if hard else _log_uniform(rng, 0.004, 0.06)
+    size = max(width, height) / 2 if kind == "area" else 0.0 if hard else _log_uniform(rng, 0.012, 0.08)
     position = _free_place(rng, place, post, size)
-    rgb, temperature, gel = _colour(rng, gels=0.08 if post is _KEY else 0.25)
+    rgb, temperature, gel = _colour(rng, gels=0.05 if post is _KEY else 0.15)
     watts = watts_from_photometric(1.0)
     about = {"name": post.name, "colour_temperature": temperature, "gel": gel}
     distance = float(np.linalg.norm(position - place.aim))
@@ -279,5 +279,5 @@ def _sun(rng: np.random.Generator, place: StillLife, *, hard: bool) -> SunLight 
 
 def _glow(rng: np.random.Generator, body: str, part: int) -> EmissiveLight:
     """Let a part of a body glow with unit radiance: warm mostly, coloured sometimes."""
-    rgb, temperature, gel = _colour(rng, middle=3000.0, gels=0.4)
+    rgb, temperature, gel = _colour(rng, middle=3000.0, gels=0.2)
     return EmissiveLight(name="glow", colour_temperature=temperature, gel=gel, body=body, part=part, radiance=rgb)

@@ -102,11 +102,11 @@ def textured(rng: np.random.Generator, info: AssetInfo, finish: str, *, metres_p
 
 
 def pick_texture(
-    rng: np.random.Generator, library: AssetLibrary, categories: frozenset[str], *, laid: bool = False
+    rng: np.random.Generator, library: AssetLibrary, categories: frozenset[str], *, laid: bool
 ) -> AssetInfo | None:
     """Draw a texture of one of the categories: first the category, then the texture; None where there is none.
 
-    `laid`: of wood take boards and parquet, not the grain of a single piece.
+    `laid`: of wood take boards and parquet, as floors are; otherwise the grain of a single piece.
     """
     found = [info for info in library.list("texture") if info.category in categories]
     present = sorted({info.category for info in found})
@@ -114,8 +114,8 @@ def pick_texture(
         return None
     wanted = present[int(rng.integers(len(present)))]
     choice = [info for info in found if info.category == wanted]
-    if laid and wanted == "wood":
-        choice = [info for info in choice if any(word in info.id for word in _LAID)] or choice
+    if wanted == "wood":
+        choice = [info for info in choice if any(word in info.id for word in _LAID) == laid] or choice
     return choice[int(rng.integers(len(choice)))]
 
 
@@ -189,7 +189,7 @@ def _refinished(rng: np.random.Generator, library: AssetLibrary, info: AssetInfo
     if FINISHES[finish].metallic:
         metal = str(rng.choice(sorted(METALS)))
         return _finished(rng, finish, METALS[metal], name=metal)
-    texture = pick_texture(rng, library, frozenset({"wood"})) if finish == "wood" and has_uv else None
+    texture = pick_texture(rng, library, frozenset({"wood"}), laid=False) if finish == "wood" and has_uv else None
     if texture is not None:
         # The asset's uv scale is unknown; half a metre a unit suits objects of table size.
         return textured(rng, texture, finish, metres_per_uv=0.5)

@@ -18,10 +18,10 @@ from scenes.spec import Body, Material, MeshAsset, Rectangle
 
 SurroundingKind = Literal["ground", "corner", "backdrop"]
 KINDS: tuple[SurroundingKind, ...] = ("ground", "corner", "backdrop")
-SHARES = (0.35, 0.45, 0.2)
+SHARES = (0.2, 0.5, 0.3)
 
 _FLOORS = {
-    "ground": frozenset({"wood", "tile", "tiles", "concrete", "stone", "brick", "parquet", "terrazzo", "marble"}),
+    "ground": frozenset({"wood", "concrete", "stone"}),
     "corner": frozenset({"wood", "tile", "tiles", "concrete", "carpet", "parquet", "terrazzo", "fabric", "marble"}),
 }
 _WALLS = frozenset({"plaster", "brick", "concrete", "wallpaper"})
@@ -93,7 +93,7 @@ def _floor(rng: np.random.Generator, library: AssetLibrary, place: str, *, size:
 
 def _wall_material(rng: np.random.Generator, library: AssetLibrary) -> Material:
     """Draw paint (most walls) or a wall texture."""
-    info = pick_texture(rng, library, _WALLS) if rng.random() < 0.45 else None
+    info = pick_texture(rng, library, _WALLS, laid=True) if rng.random() < 0.45 else None
     return painted_wall(rng) if info is None else textured(rng, info, "wall")
 
 

@@ -160,7 +160,7 @@ def _table(
     """Put the table down, parallel to the walls where there are any, and draw its materials."""
     materials = list(body_materials(rng, library, info, mesh))
     scale = metres_per_uv(mesh.parts[surface.part])
-    texture = pick_texture(rng, library, _TOPS)
+    texture = pick_texture(rng, library, _TOPS, laid=False)
     if texture is not None and scale is not None and rng.random() < 0.5:
         finish = _TOP_FINISH.get(texture.category, "wood")
         materials[surface.part] = textured(rng, texture, finish, metres_per_uv=scale)
