@@ -65,7 +65,7 @@ def one_by_one(backend: Backend, scene: SceneSpec, rigs: list[LightRig], setting
                 guide_albedo=stack.guide_albedo,
                 guide_normal=stack.guide_normal,
             )
-            denoise_all(whole, 0)
+            denoise_all(whole)
     return time.perf_counter() - start
 
 
@@ -86,13 +86,13 @@ def light_by_light(
     )
     assert everything.geometry is not None
     assert foreground.coverage is not None
-    clean = denoise_all(everything, 0)
+    clean = denoise_all(everything)
     data = ViewData(
         rig.names,
         {
             "all": clean,
-            f"without_{name}": denoise_without(without, everything, clean, 0),
-            f"foreground_{name}": denoise_foreground(foreground, clean, 0),
+            f"without_{name}": denoise_without(without, everything, clean),
+            f"foreground_{name}": denoise_foreground(foreground, clean),
         },
         {name: foreground.coverage},
         everything.geometry,
@@ -108,7 +108,7 @@ def light_by_light(
 def main(options: Options) -> None:
     """Print seconds a tuple for both ways, and their ratio."""
     config = DatasetConfig(seed=options.seed, width=options.size, height=options.size, spp=options.spp)
-    library, streams = AssetLibrary(), Streams(options.seed, 0)
+    library, streams = AssetLibrary(), Streams(options.seed)
     scene, rig = sample_scene(config, library, streams)
     conditions = sample_conditions(streams("conditions"), rig, options.conditions)
     settings = RenderSettings(spp=options.spp)

@@ -234,6 +234,10 @@ def _make(options: _Options, config: object, indices: tuple[int, ...], workers: 
     plan = Plan(options.out, config, indices, workers or default_workers(len(indices)), options.assets)
     with progress("views") as report:
         outcome = make_dataset(plan, report)
+    if outcome.broken:
+        print(f"passed over {len(outcome.broken)} broken assets:", file=sys.stderr)
+    for asset, reason in sorted(outcome.broken.items()):
+        print(f"  {asset}: {reason}", file=sys.stderr)
     for index, reason in outcome.failures.items():
         print(f"failed: scene {index}: {reason}", file=sys.stderr)
     if outcome.made or outcome.failures:

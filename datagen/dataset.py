@@ -22,6 +22,7 @@ from datagen.index import write_index
 from datagen.records import DatasetRecord
 from datagen.store import read_dataset, read_scene, scene_dir, scene_indices, write_text
 from datagen.worker import WorkerSetup, log_path, run_scene
+from scenes.assets.library import AssetError, AssetLibrary
 
 SCENES_A_WORKER = 25  # then a fresh process: a long-lived Blender grows
 SECONDS_A_MEGASAMPLE = 60.0  # a hundred times what a slow core needs; only a hung scene exceeds it
@@ -42,15 +43,24 @@ class Plan:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run did; `failures` maps a scene to one line of reason."""
+    """What a run did; `failures` maps a scene, `broken` an asset that was passed over, to one line of reason."""
 
     made: tuple[int, ...]
     kept: int
     failures: dict[int, str]
+    broken: dict[str, str]
 
 
 Report = Callable[[float, float], None]
 """Called now and then with the views finished and the views planned."""
+
+
+@dataclass(frozen=True)
+class _Watch:
+    """What is learned while the workers run: progress, and broken assets."""
+
+    report: Report
+    broken: dict[str, str]
 
 
 def make_dataset(plan: Plan, report: Report) -> Outcome:
@@ -71,10 +81,11 @@ def make_dataset(plan: Plan, report: Report) -> Outcome:
         if not missing:
             if not (plan.root / "index.parquet").is_file():
                 write_index(plan.root)
-            return Outcome((), kept, {})
-        failures = _run(plan, renderer, missing, report)
+            return Outcome((), kept, {}, {})
+        broken = _broken_models(plan.asset_folders)
+        failures = _run(plan, renderer, missing, _Watch(report, broken))
         _finish(plan.root)
-        return Outcome(tuple(i for i in missing if i not in failures), kept, failures)
+        return Outcome(tuple(i for i in missing if i not in failures), kept, failures, broken)
 
 
 def default_workers(scenes: int) -> int:
@@ -136,7 +147,19 @@ def _open_record(plan: Plan, renderer: RendererName) -> None:
         write_text(path, record.model_copy(update={"config": grown}).model_dump_json(indent=1))
 
 
-def _run(plan: Plan, renderer: RendererName, missing: Sequence[int], report: Report) -> dict[int, str]:
+def _broken_models(folders: tuple[Path, ...]) -> dict[str, str]:
+    """Name the models of the user's folders that cannot be used, with the reason."""
+    if not folders:
+        return {}
+    library = AssetLibrary(folders=folders)
+    for info in (*library.list("object"), *library.list("table")):
+        if info.size is None:
+            with contextlib.suppress(AssetError):
+                library.mesh(info.id)
+    return library.broken
+
+
+def _run(plan: Plan, renderer: RendererName, missing: Sequence[int], watch: _Watch) -> dict[int, str]:
     workers = min(plan.workers, len(missing))
     threads = max(1, len(os.sched_getaffinity(0)) // workers)
     setup = WorkerSetup(plan.config, renderer, plan.root, plan.asset_folders, threads, os.getpid())
@@ -148,7 +171,7 @@ def _run(plan: Plan, renderer: RendererName, missing: Sequence[int], report: Rep
     limit = _timeout(plan.config)
     futures = {pool.schedule(run_scene, args=(setup, index), timeout=limit): index for index in missing}
     try:
-        failures = _collect(plan, futures, report)
+        failures = _collect(plan, futures, watch)
         pool.close()
         pool.join()
     except BaseException:
@@ -164,7 +187,7 @@ def _timeout(config: DatasetConfig) -> float:
     return LEAST_TIMEOUT + SECONDS_A_MEGASAMPLE * megasamples
 
 
-def _collect(plan: Plan, futures: dict[ProcessFuture, int], report: Report) -> dict[int, str]:
+def _collect(plan: Plan, futures: dict[ProcessFuture, int], watch: _Watch) -> dict[int, str]:
     """Wait for all scenes, reporting progress by the views that lie on disk."""
     failures: dict[int, str] = {}
     waiting = dict(futures)
@@ -173,19 +196,19 @@ def _collect(plan: Plan, futures: dict[ProcessFuture, int], report: Report) -> d
         time.sleep(0.2)
         for future in [f for f in waiting if f.done()]:
             index = waiting.pop(future)
-            if (reason := _failure(plan, index, future)) is not None:
+            if (reason := _failure(plan, index, future, watch)) is not None:
                 failures[index] = reason
         finished = (len(futures) - len(waiting)) * plan.config.views
         in_work = sum(1 for _ in (plan.root / "work").glob("*/views/*.exr"))
-        report(min(finished + in_work, total), total)
+        watch.report(min(finished + in_work, total), total)
     return failures
 
 
-def _failure(plan: Plan, index: int, future: ProcessFuture) -> str | None:
+def _failure(plan: Plan, index: int, future: ProcessFuture, watch: _Watch) -> str | None:
     """Return why a scene was not made, or None; what stops every scene (a full disk) is raised."""
     where = f"seed {plan.config.seed}, log {log_path(plan.root, index)}"
     try:
-        future.result()
+        watch.broken.update(future.result())
     except FutureTimeout:
         return f"took longer than {_timeout(plan.config):.0f} s and was stopped ({where})"
     except ProcessExpired as error:

@@ -17,12 +17,12 @@ CROP, MARGIN = 64, 16  # pixels: sizes are multiples, so that few filters are ma
 SEAM = 3  # pixels round a changed one in which a variant may differ from `all`
 
 
-def denoise_all(stack: LayerStack, threads: int) -> Float32:
+def denoise_all(stack: LayerStack) -> Float32:
     """Denoise every layer of variant `all`; returns (L, H, W, 3) float32."""
-    return np.stack([_denoise(layer, stack, threads) for layer in stack.radiance])
+    return np.stack([_denoise(layer, stack) for layer in stack.radiance])
 
 
-def denoise_without(stack: LayerStack, everything: LayerStack, clean: Float32, threads: int) -> Float32:
+def denoise_without(stack: LayerStack, everything: LayerStack, clean: Float32) -> Float32:
     """Denoise a variant where it differs from `all` and take `all`'s clean pixels elsewhere, (L, H, W, 3).
 
     With common random numbers most pixels are bit-identical in both renders, so that the effect of the
@@ -35,7 +35,7 @@ def denoise_without(stack: LayerStack, everything: LayerStack, clean: Float32, t
             layers[i] = 0.0
         elif changed.any():
             weight = _soft_mask(changed)[..., None]
-            layers[i] += weight * (_denoise(raw, stack, threads) - clean[i])
+            layers[i] += weight * (_denoise(raw, stack) - clean[i])
     return layers
 
 
@@ -48,13 +48,13 @@ def foreground_layers(foreground: LayerStack, clean: Float32) -> Float32:
     return _inside_all(foreground, clean, foreground.radiance)
 
 
-def denoise_foreground(foreground: LayerStack, clean: Float32, threads: int) -> Float32:
+def denoise_foreground(foreground: LayerStack, clean: Float32) -> Float32:
     """Denoise an object's own part of the picture, as `foreground_layers`, (L, H, W, 3)."""
     assert foreground.coverage is not None
     rows, columns = _crop(foreground.coverage > 0)
     layers = np.zeros_like(clean)
     for i, raw in enumerate(foreground.radiance):
-        layers[i, rows, columns] = _denoise(raw, foreground, threads, (rows, columns))
+        layers[i, rows, columns] = _denoise(raw, foreground, (rows, columns))
     return _inside_all(foreground, clean, layers)
 
 
@@ -86,15 +86,16 @@ def _soft_mask(changed: NDArray[np.bool_]) -> Float32:
 
 
 @cache
-def _device(threads: int) -> Any:
+def _device() -> Any:
+    """Open the denoiser on one thread: its results depend, in the last bits, on how many there are."""
     import mitsuba_oidn
 
     device = mitsuba_oidn.Device(mitsuba_oidn.DeviceType.CPU)
-    device.num_threads = threads
+    device.num_threads = 1
     return device
 
 
-def _denoise(layer: Float32, stack: LayerStack, threads: int, crop: tuple[slice, slice] = WHOLE) -> Float32:
+def _denoise(layer: Float32, stack: LayerStack, crop: tuple[slice, slice] = WHOLE) -> Float32:
     import mitsuba_oidn
 
     layer = layer[crop]
@@ -107,6 +108,6 @@ def _denoise(layer: Float32, stack: LayerStack, threads: int, crop: tuple[slice,
         albedo=np.ascontiguousarray(stack.guide_albedo[crop]),
         normal=np.ascontiguousarray(stack.guide_normal[crop]),
         hdr=True,
-        device=_device(threads),
+        device=_device(),
     )
     return np.maximum(np.asarray(clean, dtype=np.float32), 0.0)

@@ -20,7 +20,7 @@ from datagen.verify import Fault, verify_scene
 from lights.conditions import sample_conditions
 from lights.rigs import SPHERES_KINDS, sample_rig
 from lights.spec import EnvironmentLight, LightRig
-from scenes.assets.library import AssetLibrary
+from scenes.assets.library import AssetError, AssetLibrary
 from scenes.spec import MeshAsset, SceneSpec
 from scenes.spheres import sample_spheres
 from scenes.streams import Streams
@@ -71,8 +71,8 @@ def sample_scene(config: DatasetConfig, library: AssetLibrary, streams: Streams)
 def make_scene(maker: Maker, index: int) -> Path:
     """Make a scene and return its folder; nothing is there under that name before it is whole and verified.
 
-    A draw whose checks fail is thrown away and drawn anew, at most `ATTEMPTS` times; raises
-    `SceneFailedError` with the faults, or `UserError` when the output is full.
+    A draw whose checks fail, or that holds a broken asset, is thrown away and drawn anew, at most `ATTEMPTS`
+    times; raises `SceneFailedError` with the faults, or `UserError` when the output is full.
     """
     work = maker.root / "work" / f"{index:06d}-{os.getpid()}"
     faults: list[Fault] = []
@@ -81,6 +81,9 @@ def make_scene(maker: Maker, index: int) -> Path:
             with full_disk_told(maker.root):
                 _write_scene(maker, index, attempt, work)
                 faults = verify_scene(work)
+        except AssetError as error:
+            faults = [Fault(index, None, "assets", str(error))]
+        else:
             if not faults:
                 final = scene_dir(maker.root, index)
                 final.parent.mkdir(parents=True, exist_ok=True)
@@ -136,19 +139,17 @@ def render_view(maker: Maker, scene: SceneSpec, rig: LightRig, view: int) -> tup
 
     everything = render("all")
     assert everything.geometry is not None
-    clean = denoise_all(everything, maker.threads) if maker.denoises else everything.radiance
+    clean = denoise_all(everything) if maker.denoises else everything.radiance
     variants: dict[str, Float32] = {"all": clean}
     coverage: dict[str, Float32] = {}
     for name in scene.insertable:
         without, foreground = render(f"without_{name}"), render(f"foreground_{name}")
         assert foreground.coverage is not None
         variants[f"without_{name}"] = (
-            denoise_without(without, everything, clean, maker.threads) if maker.denoises else without.radiance
+            denoise_without(without, everything, clean) if maker.denoises else without.radiance
         )
         variants[f"foreground_{name}"] = (
-            denoise_foreground(foreground, clean, maker.threads)
-            if maker.denoises
-            else foreground_layers(foreground, clean)
+            denoise_foreground(foreground, clean) if maker.denoises else foreground_layers(foreground, clean)
         )
         coverage[name] = foreground.coverage
     data = ViewData(rig.names, variants, coverage, everything.geometry, everything.combined)

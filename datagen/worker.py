@@ -48,19 +48,24 @@ def _maker(setup: WorkerSetup) -> Maker:
     return Maker(setup.config, setup.renderer, setup.root, library, backend, setup.threads)
 
 
-def run_scene(setup: WorkerSetup, index: int) -> None:
-    """Make one scene in this worker; what it prints goes to the scene's log, which stays only on failure."""
+def run_scene(setup: WorkerSetup, index: int) -> dict[str, str]:
+    """Make one scene in this worker; what it prints goes to the scene's log, which stays only on failure.
+
+    Returns the broken assets that this worker has met so far: id → reason.
+    """
     path = log_path(setup.root, index)
     path.parent.mkdir(parents=True, exist_ok=True)
     with _output_to(path):
         try:
-            make_scene(_maker(setup), index)
+            maker = _maker(setup)
+            make_scene(maker, index)
         except UserError:
             raise
         except BaseException:
             traceback.print_exc()
             raise
     path.unlink(missing_ok=True)
+    return maker.library.broken
 
 
 def _die_with(parent: int) -> None:

@@ -1,8 +1,9 @@
 """The one place that finds, loads and lists assets by id (`pack/name`)."""
 
+import contextlib
 import hashlib
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Protocol
@@ -70,14 +71,15 @@ class AssetLibrary:
 
     `cache` holds fetched packs and converted meshes (default: `$MULTILIGHT_CACHE`, else `~/.cache/multilight`).
     `packs` are the names of the packs to use (default: `builtin` and every fetched one); `folders` are the
-    user's own folders of models, each a pack under its folder's name. Raises `AssetError` for a pack that is
-    not there.
+    user's own folders of models, each a pack under its folder's name. `broken` fills with what was asked for and
+    could not be read: asset id → reason. Raises `AssetError` for a pack that is not there.
     """
 
     def __init__(
         self, cache: Path | None = None, packs: tuple[str, ...] | None = None, folders: tuple[Path, ...] = ()
     ) -> None:
         self.cache = default_cache() if cache is None else Path(cache)
+        self.broken: dict[str, str] = {}
         wanted = (BuiltinPack.name, *(n for n in SOURCES if is_fetched(n, self.cache))) if packs is None else packs
         self._packs: dict[str, Pack] = {name: _open(name, self.cache) for name in wanted}
         for folder in folders:
@@ -116,7 +118,8 @@ class AssetLibrary:
             pass
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
             path.unlink(missing_ok=True)  # damaged by a full or failing disk: convert again
-        mesh = pack.mesh(name)
+        with self._noting(asset):
+            mesh = pack.mesh(name)
         try:
             save_mesh(mesh, path)
         except OSError as error:
@@ -128,13 +131,23 @@ class AssetLibrary:
     def texture_path(self, image: str) -> Path:
         """Return the PNG or JPEG file of a texture, made on first use where it is procedural."""
         pack, name = self._pack(image)
-        return pack.texture(name)
+        with self._noting(image):
+            return pack.texture(name)
 
     def environment_path(self, environment: str) -> Path:
         """Return the equirectangular EXR file (float or half, linear Rec.709) of an environment map."""
         self.info(environment)
         pack, name = self._pack(environment)
-        return pack.environment(name)
+        with self._noting(environment):
+            return pack.environment(name)
+
+    @contextlib.contextmanager
+    def _noting(self, asset: str) -> Iterator[None]:
+        try:
+            yield
+        except AssetError as error:
+            self.broken[asset] = str(error)
+            raise
 
     def _pack(self, asset: str) -> tuple[Pack, str]:
         pack, _, name = asset.partition("/")
