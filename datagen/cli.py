@@ -36,7 +36,7 @@ class _Options:
     views: int | None = None
     """Views a scene (default 16)."""
     spp: int | None = None
-    """Samples a pixel (default 12)."""
+    """Samples a pixel (default 8)."""
     denoise: bool | None = None
     """Denoise each layer (default: yes)."""
     assets: tuple[Path, ...] = ()

@@ -30,7 +30,7 @@ class DatasetConfig(Frozen):
     """Image height in pixels."""
     views: Annotated[int, Field(ge=1, le=100)] = 16
     """Views a scene, from distant to close."""
-    spp: Annotated[int, Field(ge=1, le=65536)] = 12
+    spp: Annotated[int, Field(ge=1, le=65536)] = 8
     """Samples a pixel."""
     denoise: bool = True
     """Denoise each layer (Intel Open Image Denoise); the closed-form renderer has no noise and skips it."""

@@ -2,7 +2,7 @@
 
 import os
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -152,7 +152,10 @@ def render_view(maker: Maker, scene: SceneSpec, rig: LightRig, view: int) -> tup
             denoise_foreground(foreground, clean) if maker.denoises else foreground_layers(foreground, clean)
         )
         coverage[name] = foreground.coverage
-    data = ViewData(rig.names, variants, coverage, everything.geometry, everything.combined)
+    # What an object covers, no environment can: the renderers estimate the two apart.
+    free = np.clip(1.0 - sum(coverage.values()), 0.0, 1.0)
+    geometry = replace(everything.geometry, environment=np.minimum(everything.geometry.environment, free))
+    data = ViewData(rig.names, variants, coverage, geometry, everything.combined)
     return data, additivity_residual(everything)
 
 

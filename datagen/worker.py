@@ -1,5 +1,6 @@
 """What runs inside a worker process: one renderer, one scene after the other, output into a log per scene."""
 
+import atexit
 import contextlib
 import os
 import sys
@@ -45,6 +46,8 @@ def _maker(setup: WorkerSetup) -> Maker:
         backend = open_backend(setup.renderer, library).__enter__()
     except BackendError as error:
         raise RunStoppedError(str(error)) from error
+    # Blender's own clean-up at exit now and then waits for ever on its sound thread; all that matters is on disk.
+    atexit.register(os._exit, 0)
     return Maker(setup.config, setup.renderer, setup.root, library, backend, setup.threads)
 
 

@@ -1,6 +1,9 @@
 """Shared fixtures: a small closed-form dataset that needs no renderer."""
 
+import os
 import shutil
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -23,6 +26,17 @@ SPHERES = [
     "--spp",
     "4",
 ]
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_cmdline_main() -> Iterator[None]:
+    """End without Blender's own clean-up, which now and then waits for ever on its sound thread."""
+    status = yield
+    if "bpy" in sys.modules:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(int(status or 0))
+    return status
 
 
 @pytest.fixture(scope="session")

@@ -455,3 +455,13 @@ def test_texture_ids_cannot_leave_the_pack(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_every_builtin_asset_passes_the_check(library: AssetLibrary) -> None:
     assert check_assets(library, "builtin") == []
+
+
+def test_rubbish_texture_coordinates_are_dropped(tmp_path: Path) -> None:
+    text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nvt 3.4e9 0.5\nvt 0.25 0.5\nvt nan 0\n"
+    text += "f 1/1 3/2 2/2\nf 1/2 2/2 4/3\nf 1/2 4/2 3/2\nf 2/2 3/2 4/2\n"
+    (tmp_path / "shape.obj").write_text(text)
+    library = AssetLibrary(tmp_path / "cache", packs=("builtin",), folders=(tmp_path,))
+    uv = np.concatenate([part.uv for part in library.mesh(f"{tmp_path.name}/shape").parts])
+    assert np.isfinite(uv).all()
+    assert np.abs(uv).max() <= 1000

@@ -16,6 +16,10 @@ CREASE = np.radians(44.0)
 """Faces that meet at a larger angle get a sharp edge where the file gives no normals."""
 
 
+MOST_UV = 1000.0
+"""Texture coordinates beyond this are taken for broken."""
+
+
 @dataclass(frozen=True)
 class RawPart:
     """Triangles of one material as a file gives them: vertices (V, 3), faces (F, 3), normals (V, 3), uv (V, 2)."""
@@ -89,6 +93,8 @@ def _clean(part: RawPart, size: float) -> MeshPart | None:
         corner_normals = normals[faces] * np.where(inside_out, -1.0, 1.0)[:, None, None]
         corner_normals /= np.linalg.norm(corner_normals, axis=-1, keepdims=True)
     uv = np.zeros((len(part.vertices), 2)) if part.uv is None else np.nan_to_num(part.uv)
+    # Some files hold rubbish such as 3e9 here, which makes renderers read outside of their textures.
+    uv = np.where(np.abs(uv) <= MOST_UV, uv, 0.0)
     return _indexed(part.material, part.vertices[faces], corner_normals, uv[faces])
 
 

@@ -111,7 +111,7 @@ def _geometry(camera: Camera, beauty: Passes) -> GeometryBuffers:
     surface = passes[SURFACE_AOV][..., :3] * hit[..., None]
     return GeometryBuffers(
         z_depth=np.where(hit, passes["Depth"], np.float32(0)),
-        normal_world=_towards_camera(camera, passes["Normal"] * hit[..., None]),
+        normal_world=_towards_camera(camera, passes["Normal"]) * hit[..., None],
         albedo=passes[ALBEDO_AOV][..., :3] * hit[..., None],
         roughness=np.ascontiguousarray(surface[..., 0]),
         metallic=np.ascontiguousarray(surface[..., 1]),
@@ -121,13 +121,16 @@ def _geometry(camera: Camera, beauty: Passes) -> GeometryBuffers:
 
 
 def _towards_camera(camera: Camera, normal: Float32) -> Float32:
-    """Normalize and turn each normal against its pixel's viewing ray."""
+    """Normalize each normal and turn it against its pixel's viewing ray, H x W x 3.
+
+    Cycles gives see-through surfaces that it counts as hit no normal; theirs faces the camera.
+    """
     x = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
     y = (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
     rays = np.stack(np.broadcast_arrays(x, -y[:, None], -1.0), axis=-1) @ camera.pose()[:3, :3].T
+    normal = np.where((normal == 0).all(axis=-1, keepdims=True), -rays, normal).astype(np.float32)
     facing = np.where((normal * rays).sum(axis=-1, keepdims=True) > 0, -normal, normal)
-    length = np.linalg.norm(facing, axis=-1, keepdims=True)
-    return np.divide(facing, length, out=np.zeros_like(facing), where=length > 0)
+    return facing / np.linalg.norm(facing, axis=-1, keepdims=True)
 
 
 def _render_foreground(synced: SyncedScene, job: RenderJob, name: str) -> LayerStack:

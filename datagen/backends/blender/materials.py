@@ -13,7 +13,7 @@ from scenes.spec import Material, Texture
 
 ALBEDO_AOV = "albedo"
 SURFACE_AOV = "surface"
-"""Roughness, metallic and one, in R, G and B."""
+"""Roughness, metallic and whether there is a surface, in R, G and B."""
 
 
 class Materials:
@@ -116,15 +116,17 @@ def _add_emission(tree: Any, shader: Any, emission: Rgb, alpha: Any) -> Any:
 
 
 def _write_aovs(tree: Any, color: Any, surface: tuple[Any, Any], alpha: Any) -> None:
-    """Write the AOVs where the surface is opaque enough to count as hit (Cycles' threshold for Z and ids)."""
-    if isinstance(alpha, float):
-        shown: Any = float(alpha > 0.5)
-    else:
-        shown = _math(tree, "GREATER_THAN", alpha, 0.5)
-    triple = _node(tree, "ShaderNodeCombineXYZ", {0: surface[0], 1: surface[1], 2: 1.0})
-    for name, vector in ((ALBEDO_AOV, color), (SURFACE_AOV, triple.outputs["Vector"])):
-        masked = _node(tree, "ShaderNodeVectorMath", {"Vector": vector, "Scale": shown}, "SCALE")
-        output = _node(tree, "ShaderNodeOutputAOV", {"Color": masked.outputs["Vector"]})
+    """Write the AOVs: albedo, roughness and metallic where the surface is opaque enough to count as hit.
+
+    That is Cycles' own threshold for depth and ids. Geometry that is see-through, but there, covers the environment.
+    """
+    shown: Any = float(alpha > 0.5) if isinstance(alpha, float) else _math(tree, "GREATER_THAN", alpha, 0.5)
+    albedo = _node(tree, "ShaderNodeVectorMath", {"Vector": color, "Scale": shown}, "SCALE").outputs["Vector"]
+    roughness, metallic = (_math(tree, "MULTIPLY", value, shown) for value in surface)
+    there: Any = float(alpha > 0) if isinstance(alpha, float) else _math(tree, "GREATER_THAN", alpha, 0.01)
+    triple = _node(tree, "ShaderNodeCombineXYZ", {0: roughness, 1: metallic, 2: there}).outputs["Vector"]
+    for name, vector in ((ALBEDO_AOV, albedo), (SURFACE_AOV, triple)):
+        output = _node(tree, "ShaderNodeOutputAOV", {"Color": vector})
         output.aov_name = name
 
 
