@@ -141,22 +141,33 @@ def render_view(maker: Maker, scene: SceneSpec, rig: LightRig, view: int) -> tup
     assert everything.geometry is not None
     clean = denoise_all(everything) if maker.denoises else everything.radiance
     variants: dict[str, Float32] = {"all": clean}
-    coverage: dict[str, Float32] = {}
-    for name in scene.insertable:
-        without, foreground = render(f"without_{name}"), render(f"foreground_{name}")
-        assert foreground.coverage is not None
-        variants[f"without_{name}"] = (
-            denoise_without(without, everything, clean) if maker.denoises else without.radiance
-        )
-        variants[f"foreground_{name}"] = (
-            denoise_foreground(foreground, clean) if maker.denoises else foreground_layers(foreground, clean)
-        )
-        coverage[name] = foreground.coverage
-    # What an object covers, no environment can: the renderers estimate the two apart.
+    foregrounds = _within_pixels({name: render(f"foreground_{name}") for name in scene.insertable})
+    coverage = {name: stack.coverage for name, stack in foregrounds.items() if stack.coverage is not None}
+    for name, foreground in foregrounds.items():
+        without = render(f"without_{name}")
+        if maker.denoises:
+            variants[f"without_{name}"] = denoise_without(without, everything, clean)
+            variants[f"foreground_{name}"] = denoise_foreground(foreground, clean)
+        else:
+            variants[f"without_{name}"] = without.radiance
+            variants[f"foreground_{name}"] = foreground_layers(foreground, clean)
     free = np.clip(1.0 - sum(coverage.values()), 0.0, 1.0)
     geometry = replace(everything.geometry, environment=np.minimum(everything.geometry.environment, free))
     data = ViewData(rig.names, variants, coverage, geometry, everything.combined)
     return data, additivity_residual(everything)
+
+
+def _within_pixels(foregrounds: dict[str, LayerStack]) -> dict[str, LayerStack]:
+    """Scale objects down where together they cover more than the pixel.
+
+    Each is rendered on its own, so where see-through things overlap the estimates need not add up.
+    """
+    total = np.maximum(sum(stack.coverage for stack in foregrounds.values() if stack.coverage is not None), 1.0)
+    return {
+        name: replace(stack, coverage=stack.coverage / total, radiance=stack.radiance / total[..., None])
+        for name, stack in foregrounds.items()
+        if stack.coverage is not None
+    }
 
 
 def additivity_residual(stack: LayerStack) -> float:
