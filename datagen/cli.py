@@ -199,7 +199,7 @@ def main(arguments: list[str] | None = None) -> int:
         args=words,
         prog="multilight",
         description="Synthetic multi-light data for object compositing, relighting and shadow generation.",
-        config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagConversionOff),
+        config=(tyro.conf.OmitArgPrefixes,),
     )
     try:
         return int(command.run())

@@ -90,7 +90,7 @@ def test_verify_exit_codes_and_json(spheres_copy: Path, capsys: pytest.CaptureFi
     assert run("verify", spheres_copy) == 0
     capsys.readouterr()
     (spheres_copy / "scenes" / "000001" / view_file(0)).write_bytes(b"not an exr")
-    assert run("verify", spheres_copy, "--json", "True") == 1
+    assert run("verify", spheres_copy, "--json") == 1
     found = json.loads(capsys.readouterr().out)
     assert found["scenes"] == 2
     assert [(f["scene"], f["view"], f["check"]) for f in found["faults"]] == [(1, 0, "files")]
