@@ -108,7 +108,7 @@ def light_by_light(
 def main(options: Options) -> None:
     """Print seconds a tuple for both ways, and their ratio."""
     config = DatasetConfig(seed=options.seed, width=options.size, height=options.size, spp=options.spp)
-    library, streams = AssetLibrary(), Streams(options.seed)
+    library, streams = AssetLibrary(), Streams(options.seed, 0)
     scene, rig = sample_scene(config, library, streams)
     conditions = sample_conditions(streams("conditions"), rig, options.conditions)
     settings = RenderSettings(spp=options.spp)
