@@ -20,7 +20,7 @@ def main(view: tyro.conf.Positional[Path]) -> None:
     parts = [(part.name(), {name: c.pixels for name, c in part.channels.items()}) for part in source.parts]
     for method in METHODS:
         header = {"compression": getattr(OpenEXR, f"{method}_COMPRESSION"), "type": OpenEXR.scanlineimage}
-        kept = [OpenEXR.Part(header, c, name) for name, c in parts if method != "DWAA" or name != "geometry"]
+        kept = [OpenEXR.Part(dict(header), c, name) for name, c in parts if method != "DWAA" or name != "geometry"]
         stream, start = io.BytesIO(), time.perf_counter()
         OpenEXR.File(kept, num_threads=1).write(stream)
         written, read = time.perf_counter() - start, []
