@@ -177,6 +177,8 @@ def _run(plan: Plan, renderer: RendererName, missing: Sequence[int], watch: _Wat
     except BaseException:
         pool.stop()
         pool.join()
+        # Half-made scenes are of no use to anyone, and on a full disk they are in the way.
+        shutil.rmtree(plan.root / "work", ignore_errors=True)
         raise
     return failures
 
