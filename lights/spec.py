@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 from pydantic import Field, PositiveFloat, model_validator
 
 from scenes.frozen import Frozen, Matrix4, Rgb, Slug, Vector3
+from scenes.spec import Texture
 
 NonNegative = Annotated[float, Field(ge=0)]
 
@@ -46,19 +47,26 @@ class SunLight(_Light):
 
 
 class PointLight(_Light):
-    """A sphere of `radius` [m] (0: a point) with radiant `intensity` [W/sr] in every direction."""
+    """A sphere of `radius` [m] (0: a point) with radiant `intensity` [W/sr] in every direction.
+
+    A `profile` makes it depend on the angle from `direction`: relative intensities, at most 1, at evenly spaced
+    angles from 0 to pi, linear in between (as an IES luminaire file gives them, averaged about the axis).
+    """
 
     kind: Literal["point"] = "point"
     position: Vector3
     intensity: Rgb
     radius: NonNegative = 0.0
+    direction: Vector3 = (0.0, 0.0, -1.0)
+    profile: tuple[Annotated[float, Field(ge=0, le=1)], ...] | None = Field(default=None, min_length=2)
 
 
 class SpotLight(_Light):
     """A spot at `position` that shines along `direction`.
 
     `intensity` [W/sr] on the axis; zero outside `half_angle` [rad]; `blend` in [0, 1] is the soft share of the
-    cone, with Blender's smoothstep fall-off.
+    cone, with Blender's smoothstep fall-off. A `gobo` (asset id of an image, read as linear) multiplies it: the
+    image's square is the one round the cone, seen from the light, its top turned by `roll` [rad] from world up.
     """
 
     kind: Literal["spot"] = "spot"
@@ -68,6 +76,8 @@ class SpotLight(_Light):
     half_angle: Annotated[float, Field(gt=0, lt=1.5)]
     blend: Annotated[float, Field(ge=0, le=1)] = 0.15
     radius: NonNegative = 0.0
+    gobo: str | None = None
+    roll: float = 0.0
 
 
 class AreaLight(_Light):
@@ -85,12 +95,16 @@ class AreaLight(_Light):
 
 
 class EmissiveLight(_Light):
-    """One part of a body that glows with `radiance` [W/(m² sr)], Lambertian, on both sides."""
+    """One part of a body that glows with `radiance` [W/(m² sr)], Lambertian, on both sides.
+
+    A `texture` (sRGB-encoded, looked up with the part's uv) multiplies it.
+    """
 
     kind: Literal["emissive"] = "emissive"
     body: Slug
     part: Annotated[int, Field(ge=0)] = 0
     radiance: Rgb
+    texture: Texture | None = None
 
 
 Light = Annotated[
@@ -107,8 +121,6 @@ class LightRig(Frozen):
     def _unique_names(self) -> "LightRig":
         if len(set(self.names)) != len(self.lights):
             raise ValueError(f"light names must be unique, got {list(self.names)}")
-        if sum(light.kind == "environment" for light in self.lights) > 1:
-            raise ValueError("a rig holds at most one environment light")
         return self
 
     @property

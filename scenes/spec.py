@@ -8,7 +8,7 @@ from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from scenes.frozen import Frozen, Matrix4, Rgb, Slug, UnitFloat
 
-SceneKind = Literal["tabletop", "spheres"]
+SceneKind = Literal["tabletop", "room", "outdoor", "studio", "custom", "spheres"]
 
 
 class Texture(Frozen):
@@ -95,10 +95,11 @@ class Body(Frozen):
 
 
 class Camera(Frozen):
-    """A pinhole camera in pixels.
+    """A camera in pixels: a pinhole, or a thin lens where `aperture_radius` [m] is not zero.
 
     `c2w` is camera-to-world with OpenGL axes (+X right, +Y up, looks along -Z); pixel centres lie at
-    (x + 0.5, y + 0.5) from the top left.
+    (x + 0.5, y + 0.5) from the top left. The lens is focused on the plane at `focus_distance` [m] along the
+    optical axis; geometry buffers are those of the pinhole.
     """
 
     width: PositiveInt
@@ -108,6 +109,8 @@ class Camera(Frozen):
     cx: float
     cy: float
     c2w: Matrix4
+    aperture_radius: Annotated[float, Field(ge=0)] = 0.0
+    focus_distance: PositiveFloat = 1.0
 
     def intrinsics(self) -> NDArray[np.float64]:
         """Return K, 3x3, in pixels."""
