@@ -15,9 +15,9 @@ MULTILIGHT := $(BIN)/multilight
 PIP := $(BIN)/pip --quiet --disable-pip-version-check install -c constraints.txt
 OPTIONS := $(if $(SCENES),--scenes $(SCENES)) $(if $(SEED),--seed $(SEED)) \
 	$(if $(WORKERS),--workers $(WORKERS)) $(if $(CONFIG),--config $(CONFIG))
-# What bpy links against and a bare system lacks. Without root they are unpacked into .venv/system.
+# What bpy and Dr.Jit link against and a bare system lacks. Without root they are unpacked into .venv/system.
 LIBRARIES := libx11-6 libxcb1 libxau6 libxdmcp6 libbsd0 libmd0 libxrender1 libxfixes3 libxi6 libxext6 libxkbcommon0 \
-	libsm6 libice6 libuuid1 libgl1 libglx0 libglvnd0 libgomp1
+	libsm6 libice6 libuuid1 libgl1 libglx0 libglvnd0 libgomp1 libatomic1
 AS_ROOT := $(filter 0,$(shell id -u))
 
 .PHONY: dataset assets test check format clean system-libraries
@@ -33,6 +33,7 @@ dataset: assets
 
 assets: .venv/installed
 	@$(MULTILIGHT) assets fetch || echo "Going on with what there is: built-in objects and Blender's own environments."
+	@$(MULTILIGHT) doctor --fetch || echo "Going on without LLVM, more slowly: with Blender's Cycles."
 
 test: .venv/installed-dev assets
 	$(BIN)/pytest
@@ -71,7 +72,7 @@ endif
 
 .venv/installed: .venv/python pyproject.toml constraints.txt
 	$(PIP) -e .
-	@$(BIN)/python -c 'from datagen.backends import blender' 2>/dev/null || $(MAKE) system-libraries
+	@$(BIN)/python -c 'from datagen.backends import blender; import drjit' 2>/dev/null || $(MAKE) system-libraries
 	touch $@
 
 .venv/installed-dev: .venv/installed

@@ -8,6 +8,7 @@ import pytest
 
 from datagen.backends import BackendError, RenderJob, open_backend
 from datagen.backends.analytic import AnalyticBackend
+from datagen.backends.variants import choose_variant
 from datagen.layers import LayerStack
 from scenes.assets.library import AssetLibrary
 from scenes.cameras import ray_distance_from_z_depth
@@ -17,6 +18,7 @@ from tests.contract_scenes import CLOSED_FORMS
 TOLERANCES = {
     "analytic": contract.Tolerance(exact=0.0, noise=0.0, closed=0.01, edges=0.0),
     "cycles": contract.Tolerance(exact=1e-6, noise=0.05, closed=0.02, edges=0.01),
+    "mitsuba": contract.Tolerance(exact=1e-6, noise=0.05, closed=0.02, edges=0.01),
 }
 CHECKS = [
     contract.check_shapes_and_types,
@@ -33,7 +35,11 @@ CHECKS = [
     contract.check_environment_mask,
     contract.check_what_the_camera_sees_of_lights,
 ]
-UNSUPPORTED = {"analytic": {"area", "disk"}, "cycles": set()}
+UNSUPPORTED = {
+    "analytic": {"area", "disk", "profile", "profile_aside", "profile_up", "gobo"},
+    "cycles": set(),
+    "mitsuba": set(),
+}
 
 
 class Subject:
@@ -53,6 +59,8 @@ class Subject:
 def subject(request, tmp_path_factory):
     if request.param == "cycles" and importlib.util.find_spec("bpy") is None:
         pytest.skip("the package bpy is not installed")
+    if request.param == "mitsuba" and choose_variant().variant == "scalar_rgb":
+        pytest.skip(f"no vectorized variant of Mitsuba here: {choose_variant().why}")
     library = AssetLibrary(cache=tmp_path_factory.mktemp("cache"))
     with open_backend(request.param, library) as backend:
         yield Subject(request.param, backend)

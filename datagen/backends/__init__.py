@@ -13,7 +13,7 @@ from scenes.assets.library import AssetLibrary
 from scenes.frozen import Frozen
 from scenes.spec import SceneSpec
 
-RendererName = Literal["cycles", "analytic"]
+RendererName = Literal["mitsuba", "cycles", "analytic"]
 
 
 class RenderSettings(Frozen):
@@ -63,29 +63,59 @@ def split_variant(scene: SceneSpec, variant: str) -> tuple[str, str | None]:
     return action, name
 
 
+def has_mitsuba() -> bool:
+    """Tell whether Mitsuba and our backend for it are installed; imports neither."""
+    room = importlib.util.find_spec("datagen.backends.mitsuba")
+    return room is not None and room.origin is not None and importlib.util.find_spec("mitsuba") is not None
+
+
+def pick_renderer() -> tuple[RendererName, str]:
+    """Return the fastest renderer that is installed, and why it is that one."""
+    has_cycles = importlib.util.find_spec("bpy") is not None
+    if has_mitsuba():
+        from datagen.backends.variants import choose_variant
+
+        choice = choose_variant()
+        if choice.variant != "scalar_rgb":
+            return "mitsuba", choice.why
+        if not has_cycles:
+            return "mitsuba", f"{choice.why}, and no Blender"
+        return "cycles", f"Mitsuba would be slower: {choice.why}"
+    if has_cycles:
+        return "cycles", "Blender is installed"
+    return "analytic", "neither Mitsuba nor Blender is installed"
+
+
 def resolve_renderer(wanted: str) -> RendererName:
     """Turn `auto` into the fastest renderer that is installed; raises `BackendError` where one is missing."""
-    has_cycles = importlib.util.find_spec("bpy") is not None
     match wanted:
         case "auto":
-            return "cycles" if has_cycles else "analytic"
-        case "cycles" if not has_cycles:
+            return pick_renderer()[0]
+        case "mitsuba" if not has_mitsuba():
+            raise BackendError("renderer 'mitsuba' needs the package mitsuba: pip install mitsuba")
+        case "cycles" if importlib.util.find_spec("bpy") is None:
             raise BackendError("renderer 'cycles' needs the package bpy: pip install 'bpy==4.5.*'")
-        case "cycles" | "analytic":
+        case "mitsuba" | "cycles" | "analytic":
             return wanted
         case _:
-            raise BackendError(f"renderer {wanted!r} is not available; choose auto, cycles or analytic")
+            raise BackendError(f"renderer {wanted!r} is not available; choose auto, mitsuba, cycles or analytic")
 
 
 def open_backend(name: RendererName, library: AssetLibrary) -> AbstractContextManager[Backend]:
     """Start a renderer; use as a context manager. Imports the renderer only now."""
     match name:
+        case "mitsuba":
+            try:
+                from datagen.backends.mitsuba import MitsubaBackend
+            except ImportError as error:
+                raise BackendError(f"renderer 'mitsuba' cannot be loaded: {error}; see `multilight doctor`") from error
+            return MitsubaBackend(library)
         case "cycles":
             try:
                 from datagen.backends.blender import BlenderBackend
             except ImportError as error:
                 raise BackendError(
-                    f"renderer 'cycles' cannot be loaded: {error}; `make setup` installs what it needs"
+                    f"renderer 'cycles' cannot be loaded: {error}; `make system-libraries` installs what it needs"
                 ) from error
             return BlenderBackend(library)
         case "analytic":

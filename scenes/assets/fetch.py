@@ -14,7 +14,7 @@ import tarfile
 import tempfile
 import uuid
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -166,8 +166,8 @@ def _download_and_unpack(name: str, source: Source, staging: Path) -> None:
     _write_record(staging, source, version=version, sha256=digest, folder_of_files=Path("."))
 
 
-def _run(command: list[str], folder: Path, *, what: str) -> None:
-    """Run a client; raises `AssetError` with the last line that it says."""
+def run_client(command: list[str], folder: Path, *, what: str) -> str:
+    """Run a package manager's client and return what it prints; raises `AssetError` with the last line that it says."""
     try:
         result = subprocess.run(
             command, cwd=folder, capture_output=True, text=True, timeout=TIMEOUT, stdin=subprocess.DEVNULL, check=False
@@ -180,35 +180,46 @@ def _run(command: list[str], folder: Path, *, what: str) -> None:
         lines = (result.stderr.strip() or result.stdout.strip() or "no message").splitlines()
         told = [line for line in lines if "error" in line.lower() or line.startswith("E:")] or lines
         raise AssetError(f"{what} failed: {told[-1].strip()[:300]}")
+    return result.stdout
 
 
-def _apt(source: Source, scratch: Path) -> None:
-    what = f"downloading the Debian package {source.package}"
+def apt_download(packages: Sequence[str], folder: Path) -> None:
+    """Download Debian packages into a folder; needs no root, but as root fetches missing package lists."""
+    what = f"downloading the Debian package{'s' if len(packages) > 1 else ''} {', '.join(packages)}"
     try:
-        _run(["apt-get", "download", source.package], scratch, what=what)
+        run_client(["apt-get", "download", *packages], folder, what=what)
     except AssetError:
         if os.geteuid() != 0 or shutil.which("apt-get") is None:
             raise
         # A fresh container has no package lists yet.
-        _run(["apt-get", "update"], scratch, what="updating the package lists")
-        _run(["apt-get", "download", source.package], scratch, what=what)
+        run_client(["apt-get", "update"], folder, what="updating the package lists")
+        run_client(["apt-get", "download", *packages], folder, what=what)
+
+
+def unpack_deb(archive: Path, folder: Path) -> None:
+    """Unpack a Debian package's files into a folder; runs none of its scripts."""
+    run_client(["dpkg-deb", "-x", str(archive), str(folder)], archive.parent, what=f"unpacking {archive.name}")
+
+
+def _apt(source: Source, scratch: Path) -> None:
+    apt_download([source.package], scratch)
 
 
 def _pip(source: Source, scratch: Path) -> None:
     wanted = f"{source.package}=={source.version}"
     command = [sys.executable, "-m", "pip", "download", "--no-deps", "--only-binary=:all:", "--quiet"]
-    _run([*command, "--disable-pip-version-check", "--dest", ".", wanted], scratch, what=f"downloading {wanted}")
+    run_client([*command, "--disable-pip-version-check", "--dest", ".", wanted], scratch, what=f"downloading {wanted}")
 
 
 def _npm(source: Source, scratch: Path) -> None:
     wanted = f"{source.package}@{source.version}"
     command = ["npm", "pack", "--ignore-scripts", "--silent", wanted]
-    _run(command, scratch, what=f"downloading the npm package {wanted}")
+    run_client(command, scratch, what=f"downloading the npm package {wanted}")
 
 
 def _unpack_furniture(name: str, archive: Path, staging: Path) -> None:
     inside = archive.parent / "inside"
-    _run(["dpkg-deb", "-x", str(archive), str(inside)], archive.parent, what=f"unpacking {archive.name}")
+    unpack_deb(archive, inside)
     for library in LICENCES:
         shutil.move(inside / FURNITURE / f"{library}.sh3f", staging / f"{library}.sh3f")
 

@@ -1,0 +1,194 @@
+"""A scene as flat arrays: one soup of triangles in the world, one row of numbers for each surface.
+
+Everything that differs from scene to scene is data here, so that one compiled kernel renders them all.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from datagen.backends import BackendError
+from lights.spec import EmissiveLight, LightRig
+from scenes.assets.library import AssetLibrary
+from scenes.meshes import MeshPart, rectangle_part, sphere_part
+from scenes.spec import Body, Material, MeshAsset, Rectangle, SceneSpec, Sphere, Texture
+
+Float32 = NDArray[np.float32]
+UInt32 = NDArray[np.uint32]
+NONE = 0xFFFFFFFF
+"""Stands for no texture and no light."""
+
+
+@dataclass(frozen=True)
+class SceneArrays:
+    """Triangles and surfaces.
+
+    vertices (V, 8) float32: position [m], shading normal, uv; faces (F, 4) uint32: three vertices and the surface's
+    row; faces of a body lie together, `spans` holds (first, count) by body. values (R, 20) float32 and links
+    (R, 16) uint32: the columns that `surfaces.py` names. texels uint32 RGBA8, all textures end to end.
+    """
+
+    vertices: Float32
+    faces: UInt32
+    spans: dict[str, tuple[int, int]]
+    values: Float32
+    links: UInt32
+    texels: UInt32
+    see_through: bool
+    glass: bool
+
+
+class Textures:
+    """Bitmaps as RGBA8 words, kept from scene to scene."""
+
+    MOST_BYTES = 1 << 30
+
+    def __init__(self, library: AssetLibrary) -> None:
+        self._library = library
+        self._kept: dict[str, UInt32] = {}
+
+    def load(self, image: str) -> UInt32:
+        """Return an image as (H, W) uint32, red in the lowest byte, top row first; raises `BackendError`."""
+        if image not in self._kept:
+            if sum(words.nbytes for words in self._kept.values()) > self.MOST_BYTES:
+                self._kept.clear()
+            self._kept[image] = _read_words(self._library.texture_path(image))
+        return self._kept[image]
+
+
+def _read_words(path: Path) -> UInt32:
+    try:
+        with Image.open(path) as picture:
+            rgba = np.asarray(picture.convert("RGBA"))
+    except (OSError, ValueError, SyntaxError) as error:
+        raise BackendError(f"cannot read image {path}: {error}; fetch or repair its asset") from error
+    return np.ascontiguousarray(rgba).view(np.uint32)[..., 0]
+
+
+def scene_arrays(scene: SceneSpec, rig: LightRig, library: AssetLibrary, textures: Textures) -> SceneArrays:
+    """Flatten a scene; raises `BackendError` where an emissive light names no part of it, or an asset has changed."""
+    glows = _glows(scene, rig)
+    atlas = _Atlas(textures)
+    vertices, faces, values, links = [], [], [], []
+    spans: dict[str, tuple[int, int]] = {}
+    vertex = face = 0
+    for number, body in enumerate(scene.bodies, start=1):
+        first = face
+        for part, mesh in enumerate(parts_of(body, library)):
+            material = body.materials[part]
+            placed = _placed(mesh, np.array(body.world_from_body))
+            row = np.full((len(mesh.faces), 1), len(values), np.uint32)
+            vertices.append(placed)
+            faces.append(np.concatenate([mesh.faces.astype(np.uint32) + np.uint32(vertex), row], axis=1))
+            glow = glows.get((body.name, part))
+            values.append(_values(material, None if glow is None else rig.lights[glow]))
+            links.append(_links(material, number, glow, None if glow is None else rig.lights[glow], atlas))
+            vertex += len(placed)
+            face += len(mesh.faces)
+        spans[body.name] = (first, face - first)
+    materials = [material for body in scene.bodies for material in body.materials]
+    return SceneArrays(
+        vertices=np.concatenate(vertices),
+        faces=np.concatenate(faces),
+        spans=spans,
+        values=np.array(values, np.float32),
+        links=np.array(links, np.uint32),
+        texels=atlas.words(),
+        see_through=any(m.opacity < 1 or m.opacity_from_alpha for m in materials),
+        glass=any(m.transmission > 0 for m in materials),
+    )
+
+
+def parts_of(body: Body, library: AssetLibrary) -> Sequence[MeshPart]:
+    """Return a body's triangles in its own frame, a part for each of its materials."""
+    match body.geometry:
+        case Sphere() as shape:
+            return (sphere_part(shape, body.materials[0]),)
+        case Rectangle() as shape:
+            return (rectangle_part(shape, body.materials[0]),)
+        case MeshAsset() as shape:
+            mesh = library.mesh(shape.asset)
+            if len(mesh.parts) != shape.parts:
+                raise BackendError(
+                    f"asset {shape.asset!r} has {len(mesh.parts)} part(s), not {shape.parts}; "
+                    "make the scene again with the assets that are installed now"
+                )
+            return mesh.parts
+
+
+def _placed(part: MeshPart, pose: NDArray[np.float64]) -> Float32:
+    """Place a part in the world: (V, 8) float32 position, unit normal, uv."""
+    normals = part.normals @ np.linalg.inv(pose[:3, :3])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
+    points = part.vertices @ pose[:3, :3].T + pose[:3, 3]
+    return np.concatenate([points, normals, part.uv], axis=1).astype(np.float32)
+
+
+def _glows(scene: SceneSpec, rig: LightRig) -> dict[tuple[str, int], int]:
+    """Map (body, part) to the light's number; fails on a light that names no part, or one that another has."""
+    glows: dict[tuple[str, int], int] = {}
+    parts = {body.name: len(body.materials) for body in scene.bodies}
+    for number, light in enumerate(rig.lights):
+        if not isinstance(light, EmissiveLight):
+            continue
+        key = (light.body, light.part)
+        if light.part >= parts.get(light.body, 0) or key in glows:
+            raise BackendError(
+                f"light {light.name!r}: part {light.part} of body {light.body!r} is not free to glow; "
+                f"bodies and their numbers of parts are {parts}"
+            )
+        glows[key] = number
+    return glows
+
+
+class _Atlas:
+    """Lays the textures of a scene end to end."""
+
+    def __init__(self, textures: Textures) -> None:
+        self._textures = textures
+        self._placed: dict[str, tuple[int, int, int]] = {}
+        self._words: list[UInt32] = [np.zeros(1, np.uint32)]
+        self._end = 1
+
+    def place(self, texture: Texture | None) -> tuple[int, int, int]:
+        """Return (offset, width, height) of a texture's words."""
+        if texture is None:
+            return NONE, 1, 1
+        if texture.image not in self._placed:
+            words = self._textures.load(texture.image)
+            self._placed[texture.image] = (self._end, words.shape[1], words.shape[0])
+            self._words.append(words.ravel())
+            self._end += words.size
+        return self._placed[texture.image]
+
+    def words(self) -> UInt32:
+        return np.concatenate(self._words)
+
+
+def _values(material: Material, glow: object) -> list[float]:
+    """Columns of `values`; see `surfaces.Surfaces`."""
+    textures = (material.base_color_texture, material.roughness_texture, material.normal_texture)
+    emission = glow.texture if isinstance(glow, EmissiveLight) else None
+    repeats = [r for t in (*textures, emission) for r in ((1.0, 1.0) if t is None else t.repeat)]
+    return [
+        *material.base_color, material.opacity,
+        material.roughness, material.metallic, material.ior, material.coat,
+        material.coat_roughness, material.transmission, 0.0, 0.0,
+        *repeats[:4],
+        *repeats[4:],
+    ]  # fmt: skip
+
+
+def _links(material: Material, body: int, glow: int | None, light: object, atlas: _Atlas) -> list[int]:
+    """Columns of `links`; see `surfaces.Surfaces`."""
+    emission = light.texture if isinstance(light, EmissiveLight) else None
+    return [
+        *atlas.place(material.base_color_texture), body,
+        *atlas.place(material.roughness_texture), int(material.opacity_from_alpha),
+        *atlas.place(material.normal_texture), NONE if glow is None else glow,
+        *atlas.place(emission), 0,
+    ]  # fmt: skip

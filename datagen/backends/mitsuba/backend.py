@@ -1,0 +1,220 @@
+"""`MitsubaBackend`: one job in, one `LayerStack` out; a view's variants come from one set of paths."""
+
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Self
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.backends import BackendError, RenderJob, RenderSettings, split_variant
+from datagen.backends.mitsuba.arrays import Textures, scene_arrays
+from datagen.backends.mitsuba.bsdf import Tables
+from datagen.backends.mitsuba.cameras import Lens
+from datagen.backends.mitsuba.geometry import geometry_buffers
+from datagen.backends.mitsuba.integrator import Book, World, trace
+from datagen.backends.mitsuba.lights import emitters_of
+from datagen.backends.mitsuba.sampling import Sampler
+from datagen.backends.mitsuba.surfaces import Surfaces, build
+from datagen.layers import Float32, LayerStack
+from lights.spec import EmissiveLight, LightRig
+from scenes.assets.library import AssetLibrary
+from scenes.spec import Camera, SceneSpec
+
+LANES = 1 << 22
+"""Samples traced at once: enough to keep a GPU busy, few enough for memory."""
+FILM, LENS, BEFORE_PATHS = 8, 9, 1000
+"""Dimensions of the camera's random numbers."""
+
+
+class MitsubaBackend:
+    """Renders with Mitsuba's Dr.Jit variants: every light, and every removed object, from one set of paths.
+
+    The last scene stays on the device between jobs, and so do the last view's pictures.
+    """
+
+    name = "mitsuba"
+
+    def __init__(self, library: AssetLibrary) -> None:
+        self._library = library
+        self._textures = Textures(library)
+        self._tables = Tables()
+        self._synced: _Synced | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._synced = None
+
+    def render(self, job: RenderJob) -> LayerStack:
+        """Render one job; raises `BackendError` with the value and the remedy."""
+        action, name = split_variant(job.scene, job.variant)
+        if not 0 <= job.view < len(job.scene.cameras):
+            raise BackendError(f"view {job.view} is not in 0..{len(job.scene.cameras) - 1}")
+        dr.set_thread_count(job.settings.threads or dr.thread_count())
+        synced = self._sync(job)
+        view = synced.view(job.view, job.settings)
+        match action:
+            case "without":
+                return view.stack(job.rig, view.without[name])
+            case "foreground":
+                return view.stack(job.rig, view.foreground[name], coverage=view.coverage[name])
+            case _:
+                geometry = geometry_buffers(synced.world, job.scene.cameras[job.view], view.uncovered)
+                return view.stack(job.rig, view.everything, geometry=geometry)
+
+    def _sync(self, job: RenderJob) -> "_Synced":
+        if self._synced is None or (self._synced.scene, self._synced.rig) != (job.scene, job.rig):
+            self._synced = None  # frees the device first
+            self._synced = _Synced(job.scene, job.rig, self)
+        return self._synced
+
+    def worlds(self, scene: SceneSpec, rig: LightRig) -> dict[str | None, World]:
+        """Put a scene on the device: whole (None), and without each insertable object."""
+        arrays = scene_arrays(scene, rig, self._library, self._textures)
+        surfaces = Surfaces(arrays)
+        emitters = emitters_of(rig, arrays, surfaces, self._library)
+        bits = np.zeros(len(scene.bodies) + 1, np.uint32)
+        for place, name in enumerate(scene.insertable):
+            bits[scene.instance_id(name)] = 1 << place
+        return {
+            removed: World(*build(arrays, removed), surfaces, emitters, self._tables, mi.UInt32(bits))
+            for removed in (None, *scene.insertable)
+        }
+
+
+@dataclass
+class _Pictures:
+    """Means over a view's samples: variants as (L, H, W, 3), by object; masks (H, W); guides (H, W, 3)."""
+
+    everything: Float32
+    albedo: Float32
+    normal: Float32
+    uncovered: Float32
+    without: dict[str, Float32] = field(default_factory=dict)
+    foreground: dict[str, Float32] = field(default_factory=dict)
+    coverage: dict[str, Float32] = field(default_factory=dict)
+
+    def stack(self, rig: LightRig, layers: Float32, **more: object) -> LayerStack:
+        """Wrap a variant's layers."""
+        return LayerStack(
+            lights=rig.names,
+            radiance=layers,
+            combined=layers.sum(axis=0),
+            guide_albedo=self.albedo,
+            guide_normal=self.normal,
+            **more,
+        )
+
+
+class _Synced:
+    """A scene on the device, and the pictures of the view asked for last."""
+
+    def __init__(self, scene: SceneSpec, rig: LightRig, backend: MitsubaBackend) -> None:
+        self.scene, self.rig = scene, rig
+        self._worlds = backend.worlds(scene, rig)
+        self._seed = int(scene.sha256()[:8], 16)
+        self._key: tuple[int, RenderSettings] | None = None
+        self._view: _Pictures | None = None
+
+    @property
+    def world(self) -> World:
+        """The whole scene."""
+        return self._worlds[None]
+
+    def view(self, number: int, settings: RenderSettings) -> _Pictures:
+        """Render all variants of a view, or return them where it was the last."""
+        if self._view is None or self._key != (number, settings):
+            self._view = self._render(number, settings)
+            self._key = (number, settings)
+        return self._view
+
+    def _render(self, number: int, settings: RenderSettings) -> _Pictures:
+        camera = self.scene.cameras[number]
+        lens = Lens(camera)
+        pixels = camera.width * camera.height
+        at_once = max(1, LANES // pixels)
+        total: dict[tuple[str, str], Float32] = {}
+        for first in range(0, settings.spp, at_once):
+            count = min(at_once, settings.spp - first)
+            batch = _Batch(self, lens, camera, settings, (number, first, count))
+            for key, sums in batch.sums().items():
+                total[key] = total[key] + sums if key in total else sums
+        means = {key: np.divide(sums, settings.spp, dtype=np.float32) for key, sums in total.items()}
+        names = self.scene.insertable
+        return _Pictures(
+            everything=means["all", ""],
+            albedo=means["albedo", ""][0],
+            normal=means["normal", ""][0],
+            uncovered=means["uncovered", ""][0, ..., 0],
+            without={name: means["without", name] for name in names},
+            foreground={name: means["foreground", name] for name in names},
+            coverage={name: means["coverage", name][0, ..., 0] for name in names},
+        )
+
+
+class _Batch:
+    """Some samples of each pixel of a view, next to each other."""
+
+    def __init__(
+        self, synced: _Synced, lens: Lens, camera: Camera, settings: RenderSettings, part: tuple[int, int, int]
+    ) -> None:
+        self._synced, self._lens, self._camera, self._settings = synced, lens, camera, settings
+        number, self._first, self._count = part
+        # One seed for all variants of a view.
+        self._seed = dr.opaque(mi.UInt32, (synced._seed + number) % 2**32)
+
+    def sums(self) -> dict[tuple[str, str], Float32]:
+        """Trace, and add up each pixel's samples: (variant, object) → (layers, H, W, 3)."""
+        scene, count = self._synced.scene, self._count
+        book = self._trace(None, dr.arange(mi.UInt32, self._camera.width * self._camera.height * count))
+        sums = {
+            ("all", ""): self._summed(book.layers),
+            ("albedo", ""): self._summed([book.albedo]),
+            ("normal", ""): self._summed([book.normal]),
+            ("uncovered", ""): self._summed([mi.Color3f(dr.select(book.covered, mi.Float(0), 1))]),
+        }
+        for place, name in enumerate(scene.insertable):
+            mine = book.first == scene.instance_id(name)
+            sums["coverage", name] = self._summed([mi.Color3f(dr.select(mine, mi.Float(1), 0))])
+            sums["foreground", name] = self._summed([dr.select(mine, layer, 0) for layer in book.layers])
+            sums["without", name] = self._summed(self._without(book, name, place))
+        return sums
+
+    def _without(self, book: Book, name: str, place: int) -> list[mi.Color3f]:
+        """Trace again, without an object, the samples that met it; the others are what they were."""
+        layers = [mi.Color3f(layer) for layer in book.layers]
+        index = dr.compress((book.met >> place) & 1 != 0)
+        if dr.width(index):
+            again = self._trace(name, index)
+            for layer, new in zip(layers, again.layers, strict=True):
+                dr.scatter(layer, new, index)
+        for number, light in enumerate(self._synced.rig.lights):
+            if isinstance(light, EmissiveLight) and light.body == name:
+                layers[number] = dr.zeros(mi.Color3f, dr.width(book.met))
+        return layers
+
+    def _trace(self, removed: str | None, index: mi.UInt32) -> Book:
+        count, width = dr.opaque(mi.UInt32, self._count), dr.opaque(mi.UInt32, self._camera.width)
+        pixel = index // count
+        sample = index - pixel * count + dr.opaque(mi.UInt32, self._first)
+        bits = max(1, (self._settings.spp - 1).bit_length())
+        sampler = Sampler(pixel, sample, self._seed, bits)
+        inside = sampler.next_2d(FILM, BEFORE_PATHS)
+        row = pixel // width
+        film = mi.Point2f(mi.Float(pixel - row * width) + inside.x, mi.Float(row) + inside.y)
+        ray = self._lens.rays(film, sampler.next_2d(LENS, BEFORE_PATHS))
+        book = trace(self._synced._worlds[removed], ray, sampler, max_bounces=self._settings.max_bounces)
+        dr.eval(book.layers, book.met, book.first, book.covered, book.albedo, book.normal)
+        return book
+
+    def _summed(self, values: list[mi.Color3f] | list[mi.Normal3f]) -> NDArray[np.float32]:
+        """Add up each pixel's samples, always in the same order, to (n, H, W, 3) float32."""
+        shape = (3, self._camera.height, self._camera.width)
+        sums = [np.array(dr.block_sum(mi.Vector3f(value), self._count)).reshape(shape) for value in values]
+        return np.ascontiguousarray(np.stack(sums).transpose(0, 2, 3, 1))

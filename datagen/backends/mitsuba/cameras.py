@@ -1,0 +1,35 @@
+"""Rays of a `scenes.spec.Camera`: the one place where its axes and pixels become Mitsuba's."""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from scenes.spec import Camera
+
+
+def _opaque(value: float) -> mi.Float:
+    return dr.opaque(mi.Float, float(value))
+
+
+class Lens:
+    """A camera on the device; its numbers are data, so that a view costs no new kernel."""
+
+    def __init__(self, camera: Camera) -> None:
+        pose = np.array(camera.c2w)
+        self._columns = [mi.Vector3f(*(_opaque(v) for v in pose[:3, i])) for i in range(4)]
+        self._fx, self._fy = _opaque(camera.fx), _opaque(camera.fy)
+        self._cx, self._cy = _opaque(camera.cx), _opaque(camera.cy)
+        self._thin = camera.aperture_radius > 0
+        self._aperture, self._focus = _opaque(camera.aperture_radius), _opaque(camera.focus_distance)
+        self.forward = -self._columns[2]
+
+    def rays(self, pixel: mi.Point2f, u: mi.Point2f | None = None) -> mi.Ray3f:
+        """Return unit rays through film positions [pixels]; through the lens at u in [0, 1)^2 where it has a size."""
+        x, y, z, origin = self._columns
+        local = mi.Vector3f((pixel.x - self._cx) / self._fx, -(pixel.y - self._cy) / self._fy, -1)
+        if not self._thin or u is None:
+            return mi.Ray3f(mi.Point3f(origin), dr.normalize(x * local.x + y * local.y + z * local.z))
+        on_lens = mi.warp.square_to_uniform_disk_concentric(u) * self._aperture
+        aim = local * self._focus - mi.Vector3f(on_lens.x, on_lens.y, 0)
+        start = origin + x * on_lens.x + y * on_lens.y
+        return mi.Ray3f(mi.Point3f(start), dr.normalize(x * aim.x + y * aim.y + z * aim.z))

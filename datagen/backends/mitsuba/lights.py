@@ -1,0 +1,311 @@
+"""The lights of `lights.spec`, sampled from a point and met by rays. Values are radiance per colour channel.
+
+Numbers that differ from scene to scene are opaque to the compiler, so that rigs of the same make-up share a kernel.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.backends.mitsuba.arrays import SceneArrays
+from datagen.backends.mitsuba.surfaces import Surfaces
+from lights.spec import (
+    AreaLight,
+    EmissiveLight,
+    EnvironmentLight,
+    Light,
+    LightRig,
+    PointLight,
+    SpotLight,
+    SunLight,
+)
+from scenes.assets.environments import read_environment
+from scenes.assets.library import AssetLibrary
+from scenes.frozen import Rgb, Vector3
+
+FAR = 1e8
+
+
+@dataclass
+class Sample:
+    """A direction towards a light: unit d, distance [m], radiance over density, density [1/sr] (0 where missed)."""
+
+    d: mi.Vector3f
+    distance: mi.Float
+    weight: mi.Color3f
+    pdf: mi.Float
+
+
+class Emitter(Protocol):
+    """A light as paths meet it."""
+
+    delta: bool
+    """Only sampling finds it: no ray ever hits it."""
+    distant: bool
+    """It lies beyond everything, so that only rays that leave the scene meet it."""
+
+    def sample(self, p: mi.Point3f, u: mi.Point2f) -> Sample:
+        """Sample a direction from p."""
+        ...
+
+    def met(self, o: mi.Point3f, d: mi.Vector3f) -> tuple[mi.Float, mi.Color3f, mi.Float]:
+        """Return the distance at which a ray meets it, its radiance there and the density of sampling d from o."""
+        ...
+
+
+def _vector(value: Vector3 | NDArray[np.float64]) -> mi.Vector3f:
+    return mi.Vector3f(*(_float(v) for v in value))
+
+
+def _color(value: Rgb) -> mi.Color3f:
+    return mi.Color3f(*(_float(v) for v in value))
+
+
+def _float(value: float) -> mi.Float:
+    return dr.opaque(mi.Float, float(value))
+
+
+class Environment:
+    """An equirectangular map, importance-sampled by Mitsuba's `envmap`."""
+
+    delta, distant = False, True
+
+    def __init__(self, light: EnvironmentLight, library: AssetLibrary) -> None:
+        self._scale = _color(light.radiance)
+        pixels = np.ones((4, 8, 3), np.float32)
+        if light.map is not None:
+            pixels = read_environment(library.environment_path(light.map))
+        bitmap = mi.Bitmap(_rows_at_poles(pixels))
+        turn = mi.ScalarTransform4f().rotate([0, 0, 1], math.degrees(light.rotation))
+        # Mitsuba's maps have +Y up and their centre column along +Z.
+        axes = mi.ScalarTransform4f(np.array([[0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]]))
+        parts = {"type": "envmap", "bitmap": bitmap, "to_world": turn @ axes}
+        # An emitter works only as part of a scene; this one has nothing else.
+        self._scene = mi.load_dict({"type": "scene", "ball": {"type": "sphere"}, "map": parts})
+        self._map = self._scene.environment()
+
+    def sample(self, p: mi.Point3f, u: mi.Point2f) -> Sample:
+        it = dr.zeros(mi.Interaction3f)
+        it.p = p
+        found, weight = self._map.sample_direction(it, u)
+        return Sample(found.d, mi.Float(FAR), weight * self._scale, found.pdf)
+
+    def met(self, o: mi.Point3f, d: mi.Vector3f) -> tuple[mi.Float, mi.Color3f, mi.Float]:
+        si = dr.zeros(mi.SurfaceInteraction3f)
+        si.wi = -d
+        ds = dr.zeros(mi.DirectionSample3f)
+        ds.d = d
+        return mi.Float(FAR), self._map.eval(si) * self._scale, self._map.pdf_direction(si, ds)
+
+
+def _rows_at_poles(pixels: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Put rows between the rows: Mitsuba's first and last row lie on the poles, ours half a row off.
+
+    Interpolated in Mitsuba's way, the result is the map interpolated in ours.
+    """
+    between = (pixels[1:] + pixels[:-1]) / 2
+    result = np.empty((2 * len(pixels) + 1, *pixels.shape[1:]), np.float32)
+    result[1::2] = pixels
+    result[2:-1:2] = between
+    result[0], result[-1] = pixels[0].mean(axis=0), pixels[-1].mean(axis=0)
+    return result
+
+
+class Sun:
+    """A disc infinitely far away, or a single direction."""
+
+    distant = True
+
+    def __init__(self, light: SunLight) -> None:
+        towards = -np.array(light.direction) / np.linalg.norm(light.direction)
+        self._frame = mi.Frame3f(mi.Normal3f(_vector(towards)))
+        self.delta = light.angle < 1e-5
+        half = max(light.angle / 2, 1e-5)
+        self._cosine = _float(math.cos(half))
+        # 1 - cos, without the digits that float32 would lose.
+        self._cap = _float(2 * math.sin(half / 2) ** 2)
+        self._irradiance = _color(light.irradiance)
+        self._radiance = self._irradiance / (dr.pi * _float(math.sin(half) ** 2))
+
+    def sample(self, p: mi.Point3f, u: mi.Point2f) -> Sample:
+        if self.delta:
+            return Sample(mi.Vector3f(self._frame.n), mi.Float(FAR), self._irradiance, mi.Float(1))
+        d = self._frame.to_world(_in_cap(self._cap, u))
+        pdf = dr.rcp(2 * dr.pi * self._cap)
+        return Sample(mi.Vector3f(d), mi.Float(FAR), self._radiance / pdf, mi.Float(pdf))
+
+    def met(self, o: mi.Point3f, d: mi.Vector3f) -> tuple[mi.Float, mi.Color3f, mi.Float]:
+        # |d - n|^2 = 2 (1 - cos), again for the digits.
+        inside = dr.squared_norm(d - mi.Vector3f(self._frame.n)) <= 2 * self._cap
+        return mi.Float(FAR), dr.select(inside, self._radiance, 0), dr.select(inside, dr.rcp(2 * dr.pi * self._cap), 0)
+
+
+def _in_cap(cap: mi.Float, u: mi.Point2f) -> mi.Vector3f:
+    """Sample a direction uniformly within `cap` = 1 - cos of +Z."""
+    down = u.x * cap
+    sine = dr.sqrt(dr.maximum(down * (2 - down), 0))
+    sin_phi, cos_phi = dr.sincos(2 * dr.pi * u.y)
+    return mi.Vector3f(sine * cos_phi, sine * sin_phi, 1 - down)
+
+
+class Bulb:
+    """A point light or a spot: a sphere or a single point, whose intensity depends on the way it shines."""
+
+    distant = False
+
+    def __init__(self, light: PointLight | SpotLight) -> None:
+        self.delta = light.radius == 0
+        self._p = mi.Point3f(_vector(light.position))
+        self._radius = _float(max(light.radius, 1e-6))
+        self._intensity = _color(light.intensity)
+        self._axis = _vector(np.array(light.direction) / np.linalg.norm(light.direction))
+        self._cone = isinstance(light, SpotLight)
+        if isinstance(light, SpotLight):
+            edge = math.cos(light.half_angle)
+            self._edge = _float(edge)
+            self._soft = _float(1 / max((1 - edge) * light.blend, 1e-6))
+
+    def _shape(self, d: mi.Vector3f) -> mi.Float:
+        """Return the intensity's factor for light that travels along d."""
+        if not self._cone:
+            return mi.Float(1)
+        x = dr.clip((dr.dot(d, self._axis) - self._edge) * self._soft, 0, 1)
+        return x * x * (3 - 2 * x)
+
+    def sample(self, p: mi.Point3f, u: mi.Point2f) -> Sample:
+        offset = self._p - p
+        distance2 = dr.squared_norm(offset)
+        distance = dr.sqrt(distance2)
+        axis = offset / distance
+        intensity = self._intensity * self._shape(-axis)
+        if self.delta:
+            return Sample(mi.Vector3f(axis), distance, intensity / distance2, mi.Float(1))
+        cap = _cap_of(self._radius, distance2)
+        d = mi.Vector3f(mi.Frame3f(mi.Normal3f(axis)).to_world(_in_cap(cap, u)))
+        hit, _ = self._met_sphere(p, d)
+        pdf = dr.rcp(2 * dr.pi * cap)
+        there = distance2 > dr.square(self._radius)
+        radiance = intensity / (dr.pi * dr.square(self._radius))
+        return Sample(d, dr.select(hit > 0, hit, distance), radiance / pdf, dr.select(there, pdf, 0))
+
+    def met(self, o: mi.Point3f, d: mi.Vector3f) -> tuple[mi.Float, mi.Color3f, mi.Float]:
+        distance, offset = self._met_sphere(o, d)
+        radiance = self._intensity * self._shape(-dr.normalize(offset)) / (dr.pi * dr.square(self._radius))
+        pdf = dr.rcp(2 * dr.pi * _cap_of(self._radius, dr.squared_norm(offset)))
+        hit = distance > 0
+        return dr.select(hit, distance, dr.inf), dr.select(hit, radiance, 0), dr.select(hit, pdf, 0)
+
+    def _met_sphere(self, o: mi.Point3f, d: mi.Vector3f) -> tuple[mi.Float, mi.Vector3f]:
+        """Return the distance to the sphere's front along a ray, 0 where it misses or starts inside."""
+        offset = self._p - o
+        along = dr.dot(offset, d)
+        beside2 = dr.squared_norm(offset - d * along)
+        root = dr.square(self._radius) - beside2
+        distance = along - dr.sqrt(dr.maximum(root, 0))
+        return dr.select((root > 0) & (distance > 0), distance, 0), mi.Vector3f(offset)
+
+
+def _cap_of(radius: mi.Float, distance2: mi.Float) -> mi.Float:
+    """Return 1 - cos of the cone that a sphere fills."""
+    sine2 = dr.minimum(dr.square(radius) / distance2, 1)
+    return sine2 / (1 + dr.sqrt(1 - sine2))
+
+
+class Panel:
+    """A one-sided rectangle or ellipse, sampled by area."""
+
+    delta, distant = False, False
+
+    def __init__(self, light: AreaLight) -> None:
+        pose = np.array(light.world_from_light)
+        self._p = mi.Point3f(_vector(pose[:3, 3]))
+        self._x, self._y, self._n = (_vector(pose[:3, 0]), _vector(pose[:3, 1]), _vector(-pose[:3, 2]))
+        self._width, self._height = _float(light.width), _float(light.height)
+        self._round = light.shape == "disk"
+        share = math.pi / 4 if self._round else 1.0
+        self._area = _float(light.width * light.height * share)
+        self._radiance = _color(light.radiance)
+
+    def sample(self, p: mi.Point3f, u: mi.Point2f) -> Sample:
+        local = mi.warp.square_to_uniform_disk_concentric(u) * 0.5 if self._round else u - 0.5
+        point = self._p + self._x * (local.x * self._width) + self._y * (local.y * self._height)
+        offset = point - p
+        distance2 = dr.squared_norm(offset)
+        distance = dr.sqrt(distance2)
+        d = mi.Vector3f(offset / distance)
+        cosine = -dr.dot(d, self._n)
+        pdf = dr.select(cosine > 1e-6, distance2 / (dr.maximum(cosine, 1e-6) * self._area), 0)
+        return Sample(d, distance, dr.select(pdf > 0, self._radiance / pdf, 0), pdf)
+
+    def met(self, o: mi.Point3f, d: mi.Vector3f) -> tuple[mi.Float, mi.Color3f, mi.Float]:
+        cosine = -dr.dot(d, self._n)
+        distance = dr.dot(o - self._p, self._n) / dr.maximum(cosine, 1e-6)
+        local = o + d * distance - self._p
+        x, y = dr.dot(local, self._x) / self._width, dr.dot(local, self._y) / self._height
+        within = (x * x + y * y < 0.25) if self._round else (dr.abs(x) < 0.5) & (dr.abs(y) < 0.5)
+        hit = within & (cosine > 1e-6) & (distance > 0)
+        pdf = dr.square(distance) / (dr.maximum(cosine, 1e-6) * self._area)
+        return dr.select(hit, distance, dr.inf), dr.select(hit, self._radiance, 0), dr.select(hit, pdf, 0)
+
+
+class Glow:
+    """A glowing part of a body, sampled by area, shining on both sides. Rays meet it as a surface of the scene."""
+
+    delta, distant = False, False
+
+    def __init__(self, light: EmissiveLight, number: int, arrays: SceneArrays, surfaces: Surfaces) -> None:
+        row = int(np.flatnonzero(arrays.links[:, 11] == number)[0])
+        faces = np.flatnonzero(arrays.faces[:, 3] == row)
+        corners = arrays.vertices[arrays.faces[faces, :3].astype(np.int64), :3].astype(np.float64)
+        sides = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        areas = np.linalg.norm(np.cross(*sides), axis=1) / 2
+        self._surfaces = surfaces
+        self._faces = mi.UInt32(faces.astype(np.uint32))
+        self._choice = mi.DiscreteDistribution(mi.Float(areas.astype(np.float32)))
+        self._area = _float(float(areas.sum()))
+        self._radiance = _color(light.radiance)
+
+    def sample(self, p: mi.Point3f, u: mi.Point2f) -> Sample:
+        chosen, rest = self._choice.sample_reuse(u.x)
+        face = dr.gather(mi.UInt32, self._faces, chosen)
+        barycentric = mi.warp.square_to_uniform_triangle(mi.Point2f(rest, u.y))
+        point, normal, texture = self._surfaces.point_of(face, barycentric)
+        offset = point - p
+        distance = dr.norm(offset)
+        d = mi.Vector3f(offset / distance)
+        pdf = self.density(dr.dot(d, normal), distance)
+        return Sample(d, distance, dr.select(pdf > 0, self._radiance * texture / pdf, 0), pdf)
+
+    def density(self, cosine: mi.Float, distance: mi.Float) -> mi.Float:
+        """Return the density [1/sr] of sampling a point at this angle and distance."""
+        return dr.square(distance) / (dr.maximum(dr.abs(cosine), 1e-6) * self._area)
+
+    def radiance(self) -> mi.Color3f:
+        """Return the radiance before the texture."""
+        return self._radiance
+
+
+def emitters_of(
+    rig: LightRig, arrays: SceneArrays, surfaces: Surfaces, library: AssetLibrary
+) -> list[Environment | Sun | Bulb | Panel | Glow]:
+    """Make the emitters of a rig, in its order."""
+
+    def made(number: int, light: Light) -> Environment | Sun | Bulb | Panel | Glow:
+        match light:
+            case EnvironmentLight():
+                return Environment(light, library)
+            case SunLight():
+                return Sun(light)
+            case PointLight() | SpotLight():
+                return Bulb(light)
+            case AreaLight():
+                return Panel(light)
+            case EmissiveLight():
+                return Glow(light, number, arrays, surfaces)
+
+    return [made(number, light) for number, light in enumerate(rig.lights)]
