@@ -9,6 +9,10 @@ import mitsuba  # noqa: E402
 
 mitsuba.set_variant(CHOICE.variant)
 
-from datagen.backends.mitsuba.backend import MitsubaBackend  # noqa: E402
+# The other variants' kernels are made of arrays that the scalar variant has not.
+if CHOICE.variant == "scalar_rgb":
+    from datagen.backends.mitsuba.scalar import ScalarBackend as MitsubaBackend
+else:
+    from datagen.backends.mitsuba.backend import MitsubaBackend
 
 __all__ = ["CHOICE", "MitsubaBackend"]

@@ -71,7 +71,7 @@ def _read_words(path: Path) -> UInt32:
 
 def scene_arrays(scene: SceneSpec, rig: LightRig, library: AssetLibrary, textures: Textures) -> SceneArrays:
     """Flatten a scene; raises `BackendError` where an emissive light names no part of it, or an asset has changed."""
-    glows = _glows(scene, rig)
+    glows = glowing_parts(scene, rig)
     atlas = _Atlas(textures)
     vertices, faces, values, links = [], [], [], []
     spans: dict[str, tuple[int, int]] = {}
@@ -80,7 +80,7 @@ def scene_arrays(scene: SceneSpec, rig: LightRig, library: AssetLibrary, texture
         first = face
         for part, mesh in enumerate(parts_of(body, library)):
             material = body.materials[part]
-            placed = _placed(mesh, np.array(body.world_from_body))
+            placed = place_part(mesh, np.array(body.world_from_body))
             row = np.full((len(mesh.faces), 1), len(values), np.uint32)
             vertices.append(placed)
             faces.append(np.concatenate([mesh.faces.astype(np.uint32) + np.uint32(vertex), row], axis=1))
@@ -120,7 +120,7 @@ def parts_of(body: Body, library: AssetLibrary) -> Sequence[MeshPart]:
             return mesh.parts
 
 
-def _placed(part: MeshPart, pose: NDArray[np.float64]) -> Float32:
+def place_part(part: MeshPart, pose: NDArray[np.float64]) -> Float32:
     """Place a part in the world: (V, 8) float32 position, unit normal, uv."""
     normals = part.normals @ np.linalg.inv(pose[:3, :3])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
@@ -128,7 +128,7 @@ def _placed(part: MeshPart, pose: NDArray[np.float64]) -> Float32:
     return np.concatenate([points, normals, part.uv], axis=1).astype(np.float32)
 
 
-def _glows(scene: SceneSpec, rig: LightRig) -> dict[tuple[str, int], int]:
+def glowing_parts(scene: SceneSpec, rig: LightRig) -> dict[tuple[str, int], int]:
     """Map (body, part) to the light's number; fails on a light that names no part, or one that another has."""
     glows: dict[tuple[str, int], int] = {}
     parts = {body.name: len(body.materials) for body in scene.bodies}

@@ -13,10 +13,11 @@ from datagen.backends import BackendError, RenderJob, RenderSettings, split_vari
 from datagen.backends.mitsuba.arrays import Textures, scene_arrays
 from datagen.backends.mitsuba.bsdf import Tables
 from datagen.backends.mitsuba.cameras import Lens
+from datagen.backends.mitsuba.device import on_device
 from datagen.backends.mitsuba.geometry import geometry_buffers
 from datagen.backends.mitsuba.integrator import Book, World, trace
 from datagen.backends.mitsuba.lights import emitters_of
-from datagen.backends.mitsuba.sampling import Sampler
+from datagen.backends.mitsuba.sampling import Sampler, stream_of
 from datagen.backends.mitsuba.surfaces import Surfaces, build
 from datagen.layers import Float32, LayerStack
 from lights.spec import EmissiveLight, LightRig
@@ -36,6 +37,7 @@ class MitsubaBackend:
     """
 
     name = "mitsuba"
+    variant = mi.variant()
 
     def __init__(self, library: AssetLibrary) -> None:
         self._library = library
@@ -82,10 +84,17 @@ class MitsubaBackend:
         bits = np.zeros(len(scene.bodies) + 1, np.uint32)
         for place, name in enumerate(scene.insertable):
             bits[scene.instance_id(name)] = 1 << place
-        return {
-            removed: World(*build(arrays, removed), surfaces, emitters, self._tables, mi.UInt32(bits))
-            for removed in (None, *scene.insertable)
-        }
+        every = frozenset(arrays.spans)
+        fixed = build(arrays, every - set(scene.insertable))
+
+        def world(removed: str | None) -> World:
+            whole = build(arrays, every - {removed})
+            if whole is None:
+                raise BackendError(f"the scene has no triangles without {removed!r}")
+            movable = build(arrays, set(scene.insertable) - {removed})
+            return World(whole, fixed, movable, surfaces, emitters, self._tables, on_device(mi.UInt32, bits))
+
+        return {removed: world(removed) for removed in (None, *scene.insertable)}
 
 
 @dataclass
@@ -204,7 +213,7 @@ class _Batch:
         pixel = index // count
         sample = index - pixel * count + dr.opaque(mi.UInt32, self._first)
         bits = max(1, (self._settings.spp - 1).bit_length())
-        sampler = Sampler(pixel, sample, self._seed, bits)
+        sampler = Sampler(stream_of(pixel, self._seed), sample, bits)
         inside = sampler.next_2d(FILM, BEFORE_PATHS)
         row = pixel // width
         film = mi.Point2f(mi.Float(pixel - row * width) + inside.x, mi.Float(row) + inside.y)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from scipy import integrate
 
 from datagen.backends.mitsuba.surfaces import Hit
 
@@ -82,7 +83,7 @@ class Tables:
         # Axes of a texture run x, y, z = last to first.
         self._table = mi.Texture3f(mi.TensorXf(both), filter_mode=dr.FilterMode.Linear, wrap_mode=dr.WrapMode.Clamp)
         mu = np.linspace(0, 1, self.COSINES)
-        average = 2 * np.trapz(both[..., 0, 0] * mu[:, None], mu, axis=0)
+        average = 2 * integrate.trapezoid(both[..., 0, 0] * mu[:, None], mu, axis=0)
         self._average = mi.Texture1f(
             mi.TensorXf(average[:, None].astype(np.float32)),
             filter_mode=dr.FilterMode.Linear,
@@ -131,6 +132,11 @@ def _refract(wi: mi.Vector3f, h: mi.Vector3f, eta: mi.Float) -> mi.Vector3f:
     return mi.Vector3f(h * (inverse * d - cosine) - wi * inverse)
 
 
+def _grey(c: mi.Color3f) -> mi.Float:
+    """Average the channels; `dr.mean` would put the number of lanes into the compiled code."""
+    return (c.x + c.y + c.z) * (1 / 3)
+
+
 def _schlick(f0: mi.Color3f, cosine: mi.Float) -> mi.Color3f:
     return f0 + (1 - f0) * dr.power(dr.clip(1 - cosine, 0, 1), 5)
 
@@ -139,6 +145,16 @@ def _restored(kept: mi.Float, average: mi.Float, fss: mi.Color3f | mi.Float) -> 
     """Return what single scattering is multiplied with to restore what it loses (Turquin 2019, as Cycles has it)."""
     fms = fss * average / (1 - fss * (1 - average))
     return 1 + fms * (1 - kept) / kept
+
+
+def _layer(tables: Tables, cosine: mi.Float, roughness: mi.Float, ior: mi.Float) -> tuple[mi.Float, mi.Float]:
+    """Return what a dielectric layer's single scattering is multiplied with, and the layer's albedo."""
+    kept, average, share, _, _ = tables.lookup(cosine, roughness, ior)
+    # Imageworks' fit of the hemispherical reflectance of a dielectric (Kulla and Conty 2017).
+    hemispherical = (ior - 1) / (4.08567 + 1.00071 * ior)
+    restored = _restored(kept, average, hemispherical)
+    zero = dr.square((ior - 1) / (ior + 1))
+    return restored, restored * kept * (zero + (1 - zero) * share)
 
 
 @dataclass
@@ -170,22 +186,20 @@ class Closure:
 def closure(tables: Tables, hit: Hit, wi: mi.Vector3f, blur: mi.Float, *, glass: bool) -> Closure:
     """Work out the lobes' weights. `blur` is the least alpha; `glass`: whether anything in the scene refracts."""
     cosine = dr.clip(wi.z, 1e-4, 1)
-    kept, average, share, outside, inside = tables.lookup(cosine, hit.roughness, hit.ior)
-    coat_albedo = hit.coat * fresnel(cosine, mi.Float(COAT_IOR))
+    kept, average, _, outside, inside = tables.lookup(cosine, hit.roughness, hit.ior)
+    coat_restored, coat_albedo = _layer(tables, cosine, hit.coat_roughness, mi.Float(COAT_IOR))
+    coat_albedo *= hit.coat
     below = 1 - coat_albedo
     metal = below * hit.metallic
     rest = below * (1 - hit.metallic)
     through = rest * hit.transmission if glass else mi.Float(0)
     rest = rest - through
     restored = through / dr.select(hit.inside, inside, outside)
-    zero = dr.square((hit.ior - 1) / (hit.ior + 1))
-    albedo = zero + (1 - zero) * share
-    # Imageworks' fit of the hemispherical reflectance of a dielectric (Kulla and Conty 2017).
-    hemispherical = (hit.ior - 1) / (4.08567 + 1.00071 * hit.ior)
+    dielectric_restored, albedo = _layer(tables, cosine, hit.roughness, hit.ior)
     fss_metal = hit.base + (1 - hit.base) * (1 / 21)
-    gloss = metal * dr.mean(_schlick(hit.base, cosine)) + rest * albedo
+    gloss = metal * _grey(_schlick(hit.base, cosine)) + rest * albedo
     diffuse = hit.base * (rest * (1 - albedo))
-    weights = [dr.mean(diffuse), gloss, coat_albedo, through]
+    weights = [_grey(diffuse), gloss, coat_albedo, through]
     total = dr.maximum(weights[0] + weights[1] + weights[2] + weights[3], 1e-8)
     return Closure(
         wi=mi.Vector3f(wi.x, wi.y, cosine),
@@ -193,9 +207,9 @@ def closure(tables: Tables, hit: Hit, wi: mi.Vector3f, blur: mi.Float, *, glass:
         alpha=dr.maximum(dr.maximum(dr.square(hit.roughness), LEAST_ALPHA), blur),
         metal=metal * _restored(kept, average, fss_metal),
         f0=hit.base,
-        dielectric=rest * _restored(kept, average, hemispherical),
+        dielectric=rest * dielectric_restored,
         ior=hit.ior,
-        coat=hit.coat,
+        coat=hit.coat * coat_restored,
         coat_alpha=dr.maximum(dr.maximum(dr.square(hit.coat_roughness), LEAST_ALPHA), blur),
         glass=dr.sqrt(hit.base) * restored if glass else None,
         glass_reflection=restored if glass else None,
@@ -245,8 +259,11 @@ def _refracted(c: Closure, wo: mi.Vector3f, lambda_i: mi.Float) -> tuple[mi.Colo
     return dr.select(possible, value, 0), dr.select(possible, c.p_glass * common / (1 + lambda_i), 0)
 
 
-def sample(c: Closure, lobe: mi.Float, u: mi.Point2f) -> mi.Vector3f:
-    """Sample a direction; `evaluate` gives its value and density. `lobe` in [0, 1) chooses."""
+def sample(c: Closure, lobe: mi.Float, u: mi.Point2f) -> tuple[mi.Vector3f, mi.Bool]:
+    """Sample a direction, and tell whether it is one; `evaluate` gives its value and density.
+
+    `lobe` in [0, 1) chooses. Facets that send light to the wrong side of the surface give no direction.
+    """
     glossy = lobe >= c.p_diffuse
     coated = glossy & (lobe >= c.p_diffuse + c.p_gloss) & (lobe < c.p_diffuse + c.p_gloss + c.p_coat)
     h = _visible_normal(c.wi, dr.select(coated, c.coat_alpha, c.alpha), u)
@@ -254,8 +271,9 @@ def sample(c: Closure, lobe: mi.Float, u: mi.Point2f) -> mi.Vector3f:
     mirrored = h * (2 * d) - c.wi
     wo = dr.select(glossy, mirrored, mi.warp.square_to_cosine_hemisphere(u))
     if c.glass is None:
-        return mi.Vector3f(wo)
+        return mi.Vector3f(wo), wo.z > 0
     start = c.p_diffuse + c.p_gloss + c.p_coat
     reflectance = fresnel(dr.maximum(d, 0), c.eta)
     passes = (lobe >= start) & (lobe >= start + reflectance * c.p_glass)
-    return mi.Vector3f(dr.select(passes, _refract(c.wi, h, c.eta), wo))
+    wo = mi.Vector3f(dr.select(passes, _refract(c.wi, h, c.eta), wo))
+    return wo, (wo.z > 0) != passes

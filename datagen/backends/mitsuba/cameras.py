@@ -4,11 +4,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from datagen.backends.mitsuba.device import opaque
 from scenes.spec import Camera
-
-
-def _opaque(value: float) -> mi.Float:
-    return dr.opaque(mi.Float, float(value))
 
 
 class Lens:
@@ -16,11 +13,11 @@ class Lens:
 
     def __init__(self, camera: Camera) -> None:
         pose = np.array(camera.c2w)
-        self._columns = [mi.Vector3f(*(_opaque(v) for v in pose[:3, i])) for i in range(4)]
-        self._fx, self._fy = _opaque(camera.fx), _opaque(camera.fy)
-        self._cx, self._cy = _opaque(camera.cx), _opaque(camera.cy)
+        self._columns = [mi.Vector3f(*(opaque(v) for v in pose[:3, i])) for i in range(4)]
+        self._fx, self._fy = opaque(camera.fx), opaque(camera.fy)
+        self._cx, self._cy = opaque(camera.cx), opaque(camera.cy)
         self._thin = camera.aperture_radius > 0
-        self._aperture, self._focus = _opaque(camera.aperture_radius), _opaque(camera.focus_distance)
+        self._aperture, self._focus = opaque(camera.aperture_radius), opaque(camera.focus_distance)
         self.forward = -self._columns[2]
 
     def rays(self, pixel: mi.Point2f, u: mi.Point2f | None = None) -> mi.Ray3f:

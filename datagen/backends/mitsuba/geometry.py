@@ -43,12 +43,12 @@ def geometry_buffers(world: World, camera: Camera, uncovered: Float32) -> Geomet
 
 
 def _first_hit(world: World, ray: mi.Ray3f) -> tuple[mi.UInt32, mi.Point2f, mi.Float, mi.Bool]:
-    """Find the first surface that is opaque enough: triangle, barycentric coordinates, distance, whether there is one."""
+    """Find the first surface that is opaque enough: triangle, barycentric coordinates, distance, whether there is."""
 
     def step(active, o, face, uv, distance, found, count):  # type: ignore[no-untyped-def]
-        pi = world.scene.ray_intersect_preliminary(mi.Ray3f(o, ray.d), active=active)
+        pi = world.whole.scene.ray_intersect_preliminary(mi.Ray3f(o, ray.d), active=active)
         hit = active & pi.is_valid()
-        near = world.gap.original(pi.prim_index)
+        near = world.whole.face(pi, hit)
         stops = mi.Bool(hit)
         if world.surfaces.see_through:
             stops &= world.surfaces.opacity(near, pi.prim_uv, hit) > HALF

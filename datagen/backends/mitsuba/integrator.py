@@ -14,7 +14,7 @@ import mitsuba as mi
 from datagen.backends.mitsuba import bsdf
 from datagen.backends.mitsuba.lights import Emitter, Environment, Glow, Sample
 from datagen.backends.mitsuba.sampling import Sampler
-from datagen.backends.mitsuba.surfaces import Gap, Hit, Surfaces
+from datagen.backends.mitsuba.surfaces import Hit, Soup, Surfaces
 
 SEE_THROUGH_SURFACES = 32
 FILTER_GLOSSY = 0.25
@@ -25,10 +25,15 @@ LIGHT, LOBE, DIRECTION, ROULETTE, OPACITY = 16, 0, 1, 2, 3
 
 @dataclass
 class World:
-    """What paths run through: triangles (with or without a body), surfaces, lights."""
+    """What paths run through: triangles (with or without a body), surfaces, lights.
 
-    scene: mi.Scene
-    gap: Gap
+    `fixed` are the bodies that stay in every variant and `movable` the insertable ones that are there: light that
+    is blocked by the former is blocked whatever is removed.
+    """
+
+    whole: Soup
+    fixed: Soup | None
+    movable: Soup | None
     surfaces: Surfaces
     emitters: list[Emitter]
     tables: bsdf.Tables
@@ -63,41 +68,47 @@ def _start(p: mi.Point3f, ng: mi.Normal3f, d: mi.Vector3f) -> mi.Point3f:
 
 
 def _blocked(world: World, hit: Hit, found: Sample, active: mi.Bool) -> tuple[mi.Float, mi.UInt32]:
-    """Return the share of light that gets through, and the removable bodies that stand first in its way."""
+    """Return the share of light that gets through, and the removable bodies that stand in its way."""
     o = _start(hit.p, hit.ng, found.d)
     way = hit.p + found.d * found.distance - o
     distance = dr.norm(way)
-    d = way / distance
-    ray = mi.Ray3f(o, d, distance * (1 - dr.epsilon(mi.Float) * 15000), 0.0, mi.Color0f())
-    if not world.surfaces.see_through:
-        pi = world.scene.ray_intersect_preliminary(ray, active=active)
-        hit = active & pi.is_valid()
-        body = world.surfaces.body(world.gap.original(pi.prim_index), hit)
-        return dr.select(hit, mi.Float(0), 1), dr.select(hit, dr.gather(mi.UInt32, world.bits, body, hit), 0)
+    ray = mi.Ray3f(o, way / distance, distance * (1 - dr.epsilon(mi.Float) * 15000), 0.0, mi.Color0f())
+    if world.surfaces.see_through:
+        return _dimmed(world, ray, active)
+    free = mi.Bool(active)
+    if world.fixed is not None:
+        free &= ~world.fixed.scene.ray_test(ray, active=active)
+    if world.movable is None:
+        return dr.select(free, mi.Float(1), 0), mi.UInt32(0)
+    first = world.movable.scene.ray_intersect_preliminary(ray, active=free)
+    stopped = free & first.is_valid()
+    body = world.surfaces.body(world.movable.face(first, stopped), stopped)
+    met = dr.select(stopped, dr.gather(mi.UInt32, world.bits, body, stopped), 0)
+    return dr.select(free & ~stopped, mi.Float(1), 0), met
+
+
+def _dimmed(world: World, ray: mi.Ray3f, active: mi.Bool) -> tuple[mi.Float, mi.UInt32]:
+    """`_blocked` where surfaces may be see-through: each lets its share pass."""
 
     def step(active, o, left, passed, met, count):  # type: ignore[no-untyped-def]
-        ray = mi.Ray3f(o, d, left, 0.0, mi.Color0f())
-        pi = world.scene.ray_intersect_preliminary(ray, active=active)
-        hit = active & pi.is_valid()
-        face = world.gap.original(pi.prim_index)
+        found = world.whole.scene.ray_intersect_preliminary(mi.Ray3f(o, ray.d, left, 0.0, mi.Color0f()), active=active)
+        hit = active & found.is_valid()
+        face = world.whole.face(found, hit)
         body = world.surfaces.body(face, hit)
         met |= dr.select(hit, dr.gather(mi.UInt32, world.bits, body, hit), 0)
-        passed *= dr.select(hit, 1 - world.surfaces.opacity(face, pi.prim_uv, hit), 1)
-        beyond = pi.t * (1 + 1e-5) + 1e-5
-        o = dr.select(hit, o + d * beyond, o)
+        passed *= dr.select(hit, 1 - world.surfaces.opacity(face, found.prim_uv, hit), 1)
+        beyond = found.t * (1 + 1e-5) + 1e-5
+        o = dr.select(hit, o + ray.d * beyond, o)
         left = dr.select(hit, left - beyond, left)
         count += 1
-        active = hit & (passed > 0) & (left > 0) & (count < SEE_THROUGH_SURFACES)
-        return active, o, left, passed, met, count
+        return hit & (passed > 0) & (left > 0) & (count < SEE_THROUGH_SURFACES), o, left, passed, met, count
 
-    state = (mi.Bool(active), mi.Point3f(o), mi.Float(ray.maxt), mi.Float(1), mi.UInt32(0), mi.UInt32(0))
+    state = (mi.Bool(active), mi.Point3f(ray.o), mi.Float(ray.maxt), mi.Float(1), mi.UInt32(0), mi.UInt32(0))
     state = dr.while_loop(state, lambda *s: s[0], step, label="shadow")
     return state[3], state[4]
 
 
-def trace(
-    world: World, ray: mi.Ray3f, sampler: Sampler, *, max_bounces: int, one_light: bool = False
-) -> Book:
+def trace(world: World, ray: mi.Ray3f, sampler: Sampler, *, max_bounces: int, one_light: bool = False) -> Book:
     """Trace one path a lane; radiance is that of its first point, as seen along the ray.
 
     Lights but the environment and glowing bodies are invisible to the ray itself, and block nothing.
@@ -114,6 +125,7 @@ def trace(
         "pdf": mi.Float(0),
         "least_pdf": mi.Float(dr.inf),
         "origin": mi.Point3f(ray.o),
+        "sampler": sampler,
         "book": Book(
             [mi.Color3f(0) for _ in range(lights)],
             mi.UInt32(0),
@@ -125,22 +137,19 @@ def trace(
     }
 
     def step(s):  # type: ignore[no-untyped-def]
-        return (_vertex(world, sampler, s, max_bounces, one_light),)
+        return (_vertex(world, s, max_bounces, one_light),)
 
-    if MODE == "first":
-        state = _vertex(world, sampler, state, max_bounces, False)
-        one_light = True
     (state,) = dr.while_loop((state,), lambda s: s["active"], step, label="paths")
     return state["book"]
 
 
-def _vertex(world: World, sampler: Sampler, s: dict, max_bounces: int, one_light: bool) -> dict:
-    active, depth, book = s["active"], s["depth"], s["book"]
-    pi = world.scene.ray_intersect_preliminary(
+def _vertex(world: World, s: dict, max_bounces: int, one_light: bool) -> dict:
+    active, depth, book, sampler = s["active"], s["depth"], s["book"], s["sampler"]
+    pi = world.whole.scene.ray_intersect_preliminary(
         mi.Ray3f(s["o"], s["d"], dr.inf, 0.0, mi.Color0f()), coherent=depth == 0, active=active
     )
     found = active & pi.is_valid()
-    face = world.gap.original(pi.prim_index)
+    face = world.whole.face(pi, found)
     hit = world.surfaces.hit(face, pi.prim_uv, mi.Ray3f(s["o"], s["d"]), found)
     book.met |= dr.select(found, dr.gather(mi.UInt32, world.bits, hit.body, found), 0)
     distance = s["travelled"] + dr.select(found, pi.t, dr.inf)
@@ -153,14 +162,14 @@ def _vertex(world: World, sampler: Sampler, s: dict, max_bounces: int, one_light
     book.covered |= first & found
     book.albedo = dr.select(seen, hit.base, book.albedo)
     book.normal = dr.select(seen, hit.ns, book.normal)
-    _emission(world, s, hit, distance, solid, found)
+    _emission(world, s, hit, distance, (solid, found), 1 / len(world.emitters) if one_light else 1.0)
     on = solid & (depth <= max_bounces)
     frame = mi.Frame3f(hit.ns)
     least = 4 if FILTER_GLOSSY == 0 else s["least_pdf"] / FILTER_GLOSSY
     blur = dr.select(least < 1, dr.sqrt(dr.maximum(1 - least, 0)) * 0.5, 0)
     c = bsdf.closure(world.tables, hit, frame.to_local(-s["d"]), blur, glass=world.surfaces.glass)
-    _direct(world, sampler, s, hit, c, frame, on, one_light)
-    _bounce(sampler, s, hit, c, frame, on)
+    (_direct_one if one_light else _direct)(world, s, hit, c, frame, on)
+    _bounce(s, hit, c, frame, on)
     if world.surfaces.see_through:
         passing = found & ~solid & (s["passes"] < SEE_THROUGH_SURFACES)
         s["o"] = dr.select(passing, mi.Point3f(_start(hit.p, hit.ng, s["d"])), s["o"])
@@ -170,35 +179,36 @@ def _vertex(world: World, sampler: Sampler, s: dict, max_bounces: int, one_light
     return s
 
 
-def _emission(world: World, s: dict, hit: Hit, distance: mi.Float, solid: mi.Bool, found: mi.Bool) -> None:
-    """Book what the ray itself meets: the environment, glowing surfaces and, after a bounce, lamps."""
+def _emission(
+    world: World, s: dict, hit: Hit, distance: mi.Float, met: tuple[mi.Bool, mi.Bool], chance: float
+) -> None:
+    """Book what the ray itself meets: the environment, glowing surfaces and, after a bounce, lamps.
+
+    `met`: whether there is an opaque surface, and whether there is any. `chance`: of a light to be sampled.
+    """
     first = s["depth"] == 0
+    solid, found = met
     for number, light in enumerate(world.emitters):
         if light.delta:
             continue
         if isinstance(light, Glow):
             there = solid & (hit.glow == number)
-            pdf = light.density(dr.dot(hit.ng, s["d"]), distance)
+            pdf = light.density(dr.dot(hit.ng, s["d"]), dr.norm(hit.p - s["origin"]))
             radiance = light.radiance() * world.surfaces.glow_texture(hit, there)
         else:
             meets, radiance, pdf = light.met(s["origin"], s["d"])
-            there = s["active"] & ~found if light.distant else s["active"] & (meets > s["travelled"]) & (meets < distance)
+            there = s["active"] & (~found if light.distant else (meets > s["travelled"]) & (meets < distance))
             if not isinstance(light, Environment):
                 there &= ~first
-        weight = dr.select(first, 1, _weight(s["pdf"], pdf))
+        weight = dr.select(first, 1, _weight(s["pdf"], pdf * chance))
         s["book"].layers[number] += dr.select(there, s["throughput"] * radiance * weight, 0)
 
 
-def _direct(
-    world: World, sampler: Sampler, s: dict, hit: Hit, c: bsdf.Closure, frame: mi.Frame3f, on: mi.Bool, one: bool
-) -> None:
-    """Sample the lights."""
+def _direct(world: World, s: dict, hit: Hit, c: bsdf.Closure, frame: mi.Frame3f, on: mi.Bool) -> None:
+    """Sample every light."""
     book = s["book"]
-    if one:
-        _direct_one(world, sampler, s, hit, c, frame, on)
-        return
     for number, light in enumerate(world.emitters):
-        found = light.sample(hit.p, sampler.next_2d(LIGHT + number, s["depth"]))
+        found = light.sample(hit.p, s["sampler"].next_2d(LIGHT + number, s["depth"]))
         value, pdf = bsdf.evaluate(c, frame.to_local(found.d))
         weight = mi.Float(1) if light.delta else _weight(found.pdf, pdf)
         light_in = s["throughput"] * value * found.weight * weight
@@ -211,12 +221,10 @@ def _direct(
         book.layers[number] += dr.select(usable, light_in * passed, 0)
 
 
-def _direct_one(
-    world: World, sampler: Sampler, s: dict, hit: Hit, c: bsdf.Closure, frame: mi.Frame3f, on: mi.Bool
-) -> None:
+def _direct_one(world: World, s: dict, hit: Hit, c: bsdf.Closure, frame: mi.Frame3f, on: mi.Bool) -> None:
     """Sample one of the lights, each with the same chance."""
     book, count = s["book"], len(world.emitters)
-    u = sampler.next_2d(LIGHT, s["depth"])
+    u = s["sampler"].next_2d(LIGHT, s["depth"])
     scaled = u.x * count
     chosen = dr.minimum(mi.UInt32(scaled), count - 1)
     u = mi.Point2f(scaled - mi.Float(chosen), u.y)
@@ -226,7 +234,7 @@ def _direct_one(
         found = dr.select(chosen == number, light.sample(hit.p, u), found)
         delta |= (chosen == number) & light.delta
     value, pdf = bsdf.evaluate(c, frame.to_local(found.d))
-    weight = dr.select(delta, 1, _weight(found.pdf, pdf)) * count
+    weight = dr.select(delta, 1, _weight(found.pdf / count, pdf)) * count
     light_in = s["throughput"] * value * found.weight * weight
     usable = on & (found.pdf > 0) & (dr.max(light_in) > 0)
     if not world.surfaces.glass:
@@ -237,17 +245,14 @@ def _direct_one(
         book.layers[number] += dr.select(usable & (chosen == number), light_in * passed, 0)
 
 
-MODE = "first"
-
-
-def _bounce(sampler: Sampler, s: dict, hit: Hit, c: bsdf.Closure, frame: mi.Frame3f, on: mi.Bool) -> None:
+def _bounce(s: dict, hit: Hit, c: bsdf.Closure, frame: mi.Frame3f, on: mi.Bool) -> None:
     """Go on in a sampled direction, or end."""
-    depth = s["depth"]
-    wo = bsdf.sample(c, sampler.next_1d(LOBE, depth), sampler.next_2d(DIRECTION, depth))
+    depth, sampler = s["depth"], s["sampler"]
+    wo, valid = bsdf.sample(c, sampler.next_1d(LOBE, depth), sampler.next_2d(DIRECTION, depth))
     value, pdf = bsdf.evaluate(c, wo)
     d = frame.to_world(wo)
     leaks = (dr.dot(hit.ng, d) > 0) != (wo.z > 0)
-    good = on & (pdf > 0) & ~leaks
+    good = on & valid & (pdf > 0) & ~leaks
     throughput = dr.select(good, s["throughput"] * value / pdf, 0)
     depth = depth + 1
     chance = dr.minimum(dr.max(throughput), 0.95)

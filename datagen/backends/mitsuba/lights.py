@@ -5,15 +5,20 @@ Numbers that differ from scene to scene are opaque to the compiler, so that rigs
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from datagen.backends.mitsuba.arrays import SceneArrays
+from datagen.backends.mitsuba.device import on_device, opaque
+from datagen.backends.mitsuba.environments import envmap
 from datagen.backends.mitsuba.surfaces import Surfaces
+from lights.frames import spot_frame
 from lights.spec import (
     AreaLight,
     EmissiveLight,
@@ -59,15 +64,20 @@ class Emitter(Protocol):
 
 
 def _vector(value: Vector3 | NDArray[np.float64]) -> mi.Vector3f:
-    return mi.Vector3f(*(_float(v) for v in value))
+    return mi.Vector3f(*(opaque(v) for v in value))
 
 
 def _color(value: Rgb) -> mi.Color3f:
-    return mi.Color3f(*(_float(v) for v in value))
+    return mi.Color3f(*(opaque(v) for v in value))
 
 
-def _float(value: float) -> mi.Float:
-    return dr.opaque(mi.Float, float(value))
+CLAMPED = {"filter_mode": dr.FilterMode.Linear, "wrap_mode": dr.WrapMode.Clamp}
+
+
+def _grey(path: Path) -> NDArray[np.float32]:
+    """Read an image as (H, W, 1) float32 in [0, 1], without decoding."""
+    with Image.open(path) as picture:
+        return np.asarray(picture.convert("L"), np.float32)[..., None] / 255
 
 
 class Environment:
@@ -80,40 +90,25 @@ class Environment:
         pixels = np.ones((4, 8, 3), np.float32)
         if light.map is not None:
             pixels = read_environment(library.environment_path(light.map))
-        bitmap = mi.Bitmap(_rows_at_poles(pixels))
-        turn = mi.ScalarTransform4f().rotate([0, 0, 1], math.degrees(light.rotation))
-        # Mitsuba's maps have +Y up and their centre column along +Z.
-        axes = mi.ScalarTransform4f(np.array([[0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]]))
-        parts = {"type": "envmap", "bitmap": bitmap, "to_world": turn @ axes}
+        parts = envmap(pixels, light.rotation)
         # An emitter works only as part of a scene; this one has nothing else.
         self._scene = mi.load_dict({"type": "scene", "ball": {"type": "sphere"}, "map": parts})
         self._map = self._scene.environment()
 
     def sample(self, p: mi.Point3f, u: mi.Point2f) -> Sample:
+        """Sample by the map's brightness."""
         it = dr.zeros(mi.Interaction3f)
         it.p = p
         found, weight = self._map.sample_direction(it, u)
         return Sample(found.d, mi.Float(FAR), weight * self._scale, found.pdf)
 
     def met(self, o: mi.Point3f, d: mi.Vector3f) -> tuple[mi.Float, mi.Color3f, mi.Float]:
+        """Look the map up."""
         si = dr.zeros(mi.SurfaceInteraction3f)
         si.wi = -d
         ds = dr.zeros(mi.DirectionSample3f)
         ds.d = d
         return mi.Float(FAR), self._map.eval(si) * self._scale, self._map.pdf_direction(si, ds)
-
-
-def _rows_at_poles(pixels: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Put rows between the rows: Mitsuba's first and last row lie on the poles, ours half a row off.
-
-    Interpolated in Mitsuba's way, the result is the map interpolated in ours.
-    """
-    between = (pixels[1:] + pixels[:-1]) / 2
-    result = np.empty((2 * len(pixels) + 1, *pixels.shape[1:]), np.float32)
-    result[1::2] = pixels
-    result[2:-1:2] = between
-    result[0], result[-1] = pixels[0].mean(axis=0), pixels[-1].mean(axis=0)
-    return result
 
 
 class Sun:
@@ -126,13 +121,14 @@ class Sun:
         self._frame = mi.Frame3f(mi.Normal3f(_vector(towards)))
         self.delta = light.angle < 1e-5
         half = max(light.angle / 2, 1e-5)
-        self._cosine = _float(math.cos(half))
+        self._cosine = opaque(math.cos(half))
         # 1 - cos, without the digits that float32 would lose.
-        self._cap = _float(2 * math.sin(half / 2) ** 2)
+        self._cap = opaque(2 * math.sin(half / 2) ** 2)
         self._irradiance = _color(light.irradiance)
-        self._radiance = self._irradiance / (dr.pi * _float(math.sin(half) ** 2))
+        self._radiance = self._irradiance / (dr.pi * opaque(math.sin(half) ** 2))
 
     def sample(self, p: mi.Point3f, u: mi.Point2f) -> Sample:
+        """Sample the disc uniformly."""
         if self.delta:
             return Sample(mi.Vector3f(self._frame.n), mi.Float(FAR), self._irradiance, mi.Float(1))
         d = self._frame.to_world(_in_cap(self._cap, u))
@@ -140,6 +136,7 @@ class Sun:
         return Sample(mi.Vector3f(d), mi.Float(FAR), self._radiance / pdf, mi.Float(pdf))
 
     def met(self, o: mi.Point3f, d: mi.Vector3f) -> tuple[mi.Float, mi.Color3f, mi.Float]:
+        """Meet the disc, beyond everything."""
         # |d - n|^2 = 2 (1 - cos), again for the digits.
         inside = dr.squared_norm(d - mi.Vector3f(self._frame.n)) <= 2 * self._cap
         return mi.Float(FAR), dr.select(inside, self._radiance, 0), dr.select(inside, dr.rcp(2 * dr.pi * self._cap), 0)
@@ -158,26 +155,45 @@ class Bulb:
 
     distant = False
 
-    def __init__(self, light: PointLight | SpotLight) -> None:
+    def __init__(self, light: PointLight | SpotLight, library: AssetLibrary) -> None:
         self.delta = light.radius == 0
         self._p = mi.Point3f(_vector(light.position))
-        self._radius = _float(max(light.radius, 1e-6))
+        self._radius = opaque(max(light.radius, 1e-6))
         self._intensity = _color(light.intensity)
         self._axis = _vector(np.array(light.direction) / np.linalg.norm(light.direction))
         self._cone = isinstance(light, SpotLight)
+        self._picture: mi.Texture1f | mi.Texture2f | None = None
         if isinstance(light, SpotLight):
             edge = math.cos(light.half_angle)
-            self._edge = _float(edge)
-            self._soft = _float(1 / max((1 - edge) * light.blend, 1e-6))
+            self._edge = opaque(edge)
+            self._soft = opaque(1 / max((1 - edge) * light.blend, 1e-6))
+            if light.gobo is not None:
+                frame = spot_frame(light.direction, light.roll)
+                self._right, self._up = _vector(frame[:, 0]), _vector(frame[:, 1])
+                self._slope = opaque(math.tan(light.half_angle))
+                self._picture = mi.Texture2f(mi.TensorXf(_grey(library.texture_path(light.gobo))), **CLAMPED)
+        elif light.profile is not None:
+            self._count = opaque(len(light.profile))
+            self._picture = mi.Texture1f(mi.TensorXf(np.array(light.profile, np.float32)[:, None]), **CLAMPED)
 
     def _shape(self, d: mi.Vector3f) -> mi.Float:
         """Return the intensity's factor for light that travels along d."""
+        cosine = dr.dot(d, self._axis)
         if not self._cone:
-            return mi.Float(1)
-        x = dr.clip((dr.dot(d, self._axis) - self._edge) * self._soft, 0, 1)
-        return x * x * (3 - 2 * x)
+            if self._picture is None:
+                return mi.Float(1)
+            place = dr.safe_acos(cosine) * dr.inv_pi
+            return self._picture.eval(mi.Point1f((place * (self._count - 1) + 0.5) / self._count))[0]
+        x = dr.clip((cosine - self._edge) * self._soft, 0, 1)
+        factor = x * x * (3 - 2 * x)
+        if self._picture is not None:
+            scale = 0.5 / (dr.maximum(cosine, 1e-4) * self._slope)
+            across, down = dr.dot(d, self._right) * scale, dr.dot(d, self._up) * scale
+            factor *= self._picture.eval(mi.Point2f(0.5 + across, 0.5 - down))[0]
+        return factor
 
     def sample(self, p: mi.Point3f, u: mi.Point2f) -> Sample:
+        """Sample the cone that the sphere fills."""
         offset = self._p - p
         distance2 = dr.squared_norm(offset)
         distance = dr.sqrt(distance2)
@@ -194,6 +210,7 @@ class Bulb:
         return Sample(d, dr.select(hit > 0, hit, distance), radiance / pdf, dr.select(there, pdf, 0))
 
     def met(self, o: mi.Point3f, d: mi.Vector3f) -> tuple[mi.Float, mi.Color3f, mi.Float]:
+        """Meet the sphere."""
         distance, offset = self._met_sphere(o, d)
         radiance = self._intensity * self._shape(-dr.normalize(offset)) / (dr.pi * dr.square(self._radius))
         pdf = dr.rcp(2 * dr.pi * _cap_of(self._radius, dr.squared_norm(offset)))
@@ -225,13 +242,14 @@ class Panel:
         pose = np.array(light.world_from_light)
         self._p = mi.Point3f(_vector(pose[:3, 3]))
         self._x, self._y, self._n = (_vector(pose[:3, 0]), _vector(pose[:3, 1]), _vector(-pose[:3, 2]))
-        self._width, self._height = _float(light.width), _float(light.height)
+        self._width, self._height = opaque(light.width), opaque(light.height)
         self._round = light.shape == "disk"
         share = math.pi / 4 if self._round else 1.0
-        self._area = _float(light.width * light.height * share)
+        self._area = opaque(light.width * light.height * share)
         self._radiance = _color(light.radiance)
 
     def sample(self, p: mi.Point3f, u: mi.Point2f) -> Sample:
+        """Sample the area uniformly."""
         local = mi.warp.square_to_uniform_disk_concentric(u) * 0.5 if self._round else u - 0.5
         point = self._p + self._x * (local.x * self._width) + self._y * (local.y * self._height)
         offset = point - p
@@ -243,6 +261,7 @@ class Panel:
         return Sample(d, distance, dr.select(pdf > 0, self._radiance / pdf, 0), pdf)
 
     def met(self, o: mi.Point3f, d: mi.Vector3f) -> tuple[mi.Float, mi.Color3f, mi.Float]:
+        """Meet the side that shines."""
         cosine = -dr.dot(d, self._n)
         distance = dr.dot(o - self._p, self._n) / dr.maximum(cosine, 1e-6)
         local = o + d * distance - self._p
@@ -265,15 +284,16 @@ class Glow:
         sides = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
         areas = np.linalg.norm(np.cross(*sides), axis=1) / 2
         self._surfaces = surfaces
-        self._faces = mi.UInt32(faces.astype(np.uint32))
-        self._choice = mi.DiscreteDistribution(mi.Float(areas.astype(np.float32)))
-        self._area = _float(float(areas.sum()))
+        self._faces = on_device(mi.UInt32, faces.astype(np.uint32))
+        self._choice = mi.DiscreteDistribution(on_device(mi.Float, areas.astype(np.float32)))
+        self._area = opaque(float(areas.sum()))
         self._radiance = _color(light.radiance)
 
     def sample(self, p: mi.Point3f, u: mi.Point2f) -> Sample:
-        chosen, rest = self._choice.sample_reuse(u.x)
+        """Sample the triangles' area uniformly."""
+        chosen, rest = self._choice.sample_reuse(u.y)
         face = dr.gather(mi.UInt32, self._faces, chosen)
-        barycentric = mi.warp.square_to_uniform_triangle(mi.Point2f(rest, u.y))
+        barycentric = mi.warp.square_to_uniform_triangle(mi.Point2f(u.x, rest))
         point, normal, texture = self._surfaces.point_of(face, barycentric)
         offset = point - p
         distance = dr.norm(offset)
@@ -302,7 +322,7 @@ def emitters_of(
             case SunLight():
                 return Sun(light)
             case PointLight() | SpotLight():
-                return Bulb(light)
+                return Bulb(light, library)
             case AreaLight():
                 return Panel(light)
             case EmissiveLight():

@@ -5,6 +5,8 @@ variants rely on it. Points of a pixel are stratified among each other in every 
 Source: Burley, Practical Hash-based Owen Scrambling, JCGT 9(4), 2020; bit mixer by Vegdahl, 2021.
 """
 
+from dataclasses import dataclass
+
 import drjit as dr
 import mitsuba as mi
 
@@ -36,22 +38,27 @@ def _unit(x: mi.UInt32) -> mi.Float:
     return mi.Float(x >> 8) * mi.Float(2.0**-24)
 
 
+def stream_of(pixel: mi.UInt32, seed: mi.UInt32) -> mi.UInt32:
+    """Return a pixel's stream."""
+    return mix(pixel + mix(seed))
+
+
+@dataclass
 class Sampler:
-    """The random numbers of some samples: `pixel` and `sample` are one number a lane.
+    """The random numbers of some samples: `stream` (see `stream_of`) and `sample` are one number a lane.
 
     `bits`: at least log2 of the samples a pixel. `vertex` counts along the path and may change from call to call.
     """
 
-    def __init__(self, pixel: mi.UInt32, sample: mi.UInt32, seed: mi.UInt32, bits: int) -> None:
-        self._pixel = mix(pixel + mix(seed))
-        self._sample = sample
-        self._bits = bits
+    stream: mi.UInt32
+    sample: mi.UInt32
+    bits: int
 
     def _shuffled(self, dimension: mi.UInt32 | int, vertex: mi.UInt32 | int) -> tuple[mi.UInt32, mi.UInt32]:
         """Return the dimension's seed and the sample's place in its order."""
-        seed = mix(self._pixel ^ (mi.UInt32(vertex) * DIMENSIONS + mi.UInt32(dimension) + 1) * mi.UInt32(0x9E3779B9))
-        order = _owen(dr.brev(self._sample), seed)
-        return seed, order & mi.UInt32((1 << self._bits) - 1)
+        seed = mix(self.stream ^ (mi.UInt32(vertex) * DIMENSIONS + mi.UInt32(dimension) + 1) * mi.UInt32(0x9E3779B9))
+        order = _owen(dr.brev(self.sample), seed)
+        return seed, order & mi.UInt32((1 << self.bits) - 1)
 
     def next_1d(self, dimension: int, vertex: mi.UInt32 | int = 0) -> mi.Float:
         """Return a number in [0, 1)."""
@@ -63,7 +70,7 @@ class Sampler:
         seed, order = self._shuffled(dimension, vertex)
         second = mi.UInt32(0)
         direction = 1 << 31
-        for bit in range(self._bits):
+        for bit in range(self.bits):
             second ^= dr.select((order >> bit) & 1 != 0, mi.UInt32(direction), mi.UInt32(0))
             direction ^= direction >> 1
         x = _owen(order, mix(seed + mi.UInt32(1)))

@@ -1,5 +1,6 @@
 """What a ray hits: triangles, their surfaces' numbers and textures, looked up in arrays on the device."""
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import drjit as dr
@@ -7,6 +8,7 @@ import mitsuba as mi
 import numpy as np
 
 from datagen.backends.mitsuba.arrays import NONE, SceneArrays
+from datagen.backends.mitsuba.device import on_device
 
 VALUES, LINKS = 20, 16
 BASE, ROUGH, COAT, REPEAT, REPEAT2 = 0, 4, 8, 12, 16
@@ -40,14 +42,14 @@ class Hit:
 
 
 class Surfaces:
-    """A scene's arrays on the device. `skip` in the lookups names removed triangles: see `Gap`."""
+    """A scene's arrays on the device; triangles are numbered as in the whole scene."""
 
     def __init__(self, arrays: SceneArrays) -> None:
-        self._vertices = mi.Float(arrays.vertices.ravel())
-        self._faces = mi.UInt32(arrays.faces.ravel())
-        self._values = mi.Float(arrays.values.ravel())
-        self._links = mi.UInt32(arrays.links.ravel())
-        self._texels = mi.UInt32(arrays.texels)
+        self._vertices = on_device(mi.Float, arrays.vertices)
+        self._faces = on_device(mi.UInt32, arrays.faces)
+        self._values = on_device(mi.Float, arrays.values)
+        self._links = on_device(mi.UInt32, arrays.links)
+        self._texels = on_device(mi.UInt32, arrays.texels)
         self.see_through = arrays.see_through
         self.glass = arrays.glass
 
@@ -189,28 +191,27 @@ def _linear_from_srgb(c: mi.Color3f) -> mi.Color3f:
     return dr.select(c <= 0.04045, c / 12.92, dr.power((c + 0.055) / 1.055, 2.4))
 
 
-class Gap:
-    """Triangles left out of a scene: lookups stay those of the whole, shifted past the gap."""
+@dataclass
+class Soup:
+    """Some of a scene's triangles, accelerated. `original` holds, for each of them, its number in the whole scene."""
 
-    def __init__(self, first: int = 0, count: int = 0) -> None:
-        self._first, self._count = dr.opaque(mi.UInt32, first), dr.opaque(mi.UInt32, count)
+    scene: mi.Scene
+    original: mi.UInt32
 
-    def original(self, face: mi.UInt32) -> mi.UInt32:
-        """Return the triangle's number in the whole scene."""
-        return dr.select(face >= self._first, face + self._count, face)
+    def face(self, found: mi.PreliminaryIntersection3f, active: mi.Bool) -> mi.UInt32:
+        """Return the number, in the whole scene, of the triangle that a ray met."""
+        return dr.gather(mi.UInt32, self.original, found.prim_index, active)
 
 
-def build(arrays: SceneArrays, removed: str | None = None) -> tuple[mi.Scene, Gap]:
-    """Build the accelerated scene, with one body left out or whole."""
-    faces = arrays.faces[:, :3]
-    gap = Gap()
-    if removed is not None:
-        first, count = arrays.spans[removed]
-        faces = np.delete(faces, slice(first, first + count), axis=0)
-        gap = Gap(first, count)
-    mesh = mi.Mesh("scene", vertex_count=len(arrays.vertices), face_count=len(faces))
+def build(arrays: SceneArrays, bodies: Collection[str]) -> Soup | None:
+    """Build an acceleration structure over some bodies; None where they have no triangles."""
+    chosen = [np.arange(first, first + count) for name, (first, count) in arrays.spans.items() if name in bodies]
+    if not chosen:
+        return None
+    original = np.concatenate(chosen).astype(np.uint32)
+    mesh = mi.Mesh("scene", vertex_count=len(arrays.vertices), face_count=len(original))
     parameters = mi.traverse(mesh)
-    parameters["vertex_positions"] = mi.Float(arrays.vertices[:, :3].ravel())
-    parameters["faces"] = mi.UInt32(faces.ravel())
+    parameters["vertex_positions"] = on_device(mi.Float, arrays.vertices[:, :3])
+    parameters["faces"] = on_device(mi.UInt32, arrays.faces[original, :3])
     parameters.update()
-    return mi.load_dict({"type": "scene", "mesh": mesh}), gap
+    return Soup(mi.load_dict({"type": "scene", "mesh": mesh}), on_device(mi.UInt32, original))

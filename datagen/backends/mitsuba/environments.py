@@ -1,0 +1,29 @@
+"""Equirectangular maps as Mitsuba's `envmap` takes them, for every variant."""
+
+import math
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+
+def envmap(pixels: NDArray[np.float32], rotation: float) -> dict[str, Any]:
+    """Describe an emitter that shows a map, (H, W, 3) float32, as `lights.spec.EnvironmentLight` lays it out."""
+    turn = mi.ScalarTransform4f().rotate([0, 0, 1], math.degrees(rotation))
+    # Mitsuba's maps have +Y up and their centre column along +Z.
+    axes = mi.ScalarTransform4f(np.array([[0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]]))
+    return {"type": "envmap", "bitmap": mi.Bitmap(_rows_at_poles(pixels)), "to_world": turn @ axes}
+
+
+def _rows_at_poles(pixels: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Put rows between the rows: Mitsuba's first and last row lie on the poles, ours half a row off.
+
+    Interpolated in Mitsuba's way, the result is the map interpolated in ours.
+    """
+    between = (pixels[1:] + pixels[:-1]) / 2
+    result = np.empty((2 * len(pixels) + 1, *pixels.shape[1:]), np.float32)
+    result[1::2] = pixels
+    result[2:-1:2] = between
+    result[0], result[-1] = pixels[0].mean(axis=0), pixels[-1].mean(axis=0)
+    return result
