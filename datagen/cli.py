@@ -5,14 +5,18 @@ import os
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from datagen.errors import UserError
 
-Kind = Literal["tabletop", "spheres"]
-Renderer = Literal["auto", "cycles", "analytic"]
+if TYPE_CHECKING:
+    from datagen.stats.collect import Summary
+
+Kind = Literal["tabletop", "room", "outdoor", "studio", "custom", "spheres", "mixed"]
+Renderer = Literal["auto", "mitsuba", "cycles", "analytic"]
+Preset = Literal["tabletop", "room", "outdoor", "studio", "mixed", "smoke"]
 
 
 @dataclass(kw_only=True)
@@ -21,12 +25,16 @@ class _Options:
 
     out: Path
     """Folder of the dataset; made where it is missing, continued where it is there."""
+    preset: Preset | None = None
+    """Named starting point; `multilight config show PRESET` prints it. What else is given goes over it."""
     config: Path | None = None
-    """TOML file with any of the values below."""
+    """TOML file with any of the values that `multilight config show` lists."""
     seed: int | None = None
     """Seed of every random stream (default 0)."""
     kind: Kind | None = None
-    """Kind of scene (default tabletop; spheres go with --renderer analytic)."""
+    """Kind of scene (default tabletop; mixed draws one a scene; spheres go with --renderer analytic)."""
+    background: Path | None = None
+    """With --kind custom: GLB, glTF, USD or .blend file to set the scenes in; scripts in it never run."""
     renderer: Renderer | None = None
     """Renderer (default auto: the fastest that is installed)."""
     width: int | None = None
@@ -37,15 +45,17 @@ class _Options:
     """Views a scene (default 16)."""
     spp: int | None = None
     """Samples a pixel (default 8)."""
-    denoise: bool | None = None
-    """Denoise each layer (default: yes)."""
+    denoise: Literal["auto", "on", "off"] | None = None
+    """Denoise each layer (default auto: below 2048 samples a pixel)."""
+    keep_raw: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Where layers are denoised, store them as they were rendered too (parts `raw_...`; twice the space)."""
     assets: tuple[Path, ...] = ()
     """Folders of your own GLB, glTF or OBJ models to use besides the installed packs."""
 
     def values(self) -> dict[str, object]:
         """Return the options that belong into the configuration; None where not given."""
-        keys = ("seed", "kind", "renderer", "width", "height", "views", "spp", "denoise")
-        return {key: getattr(self, key) for key in keys}
+        keys = ("seed", "kind", "background", "renderer", "width", "height", "views", "spp", "denoise")
+        return {key: getattr(self, key) for key in keys} | {"keep_raw": self.keep_raw or None}
 
 
 @dataclass(kw_only=True)
@@ -61,7 +71,7 @@ class Dataset(_Options):
         """Make what is missing and return the exit code."""
         from datagen.config import load_config
 
-        config = load_config(self.config, self.values() | {"scenes": self.scenes})
+        config = load_config(self.config, self.values() | {"scenes": self.scenes}, self.preset)
         return _make(self, config, tuple(range(config.scenes)), self.workers)
 
 
@@ -78,7 +88,7 @@ class Scene(_Options):
 
         if self.index < 0:
             raise UserError(f"--index {self.index} must be 0 or more")
-        config = load_config(self.config, self.values() | {"scenes": self.index + 1})
+        config = load_config(self.config, self.values() | {"scenes": self.index + 1}, self.preset)
         return _make(self, config, (self.index,), 1)
 
 
@@ -176,6 +186,90 @@ class Assets:
                 return assets.check(self.which)
 
 
+@dataclass
+class Stats:
+    """Measure how varied a dataset is: histograms, coverage, leaks between splits, near-duplicate scenes."""
+
+    dir: tyro.conf.Positional[Path | None] = None
+    """Folder of the dataset."""
+    sample: int | None = None
+    """Instead: sample this many scenes without rendering, and measure those."""
+    out: Path | None = None
+    """Folder for index.html and stats.json (default: stats in the dataset's folder; with --sample: none)."""
+    preset: Preset | None = None
+    """With --sample: named starting point of the configuration."""
+    config: Path | None = None
+    """With --sample: TOML file of the configuration."""
+    assets: tuple[Path, ...] = ()
+    """Folders of your own models that the scenes use."""
+
+    def run(self) -> int:
+        """Measure, print a table, write the page and return the exit code: 1 where something leaks."""
+        from datagen.stats.page import print_summary, write_page
+
+        summary, out = self._measure()
+        print_summary(summary)
+        if out is not None:
+            write_page(summary, out)
+            print(f"statistics: {out / 'index.html'}")
+        return 1 if summary.leaks else 0
+
+    def _measure(self) -> "tuple[Summary, Path | None]":
+        from datagen.config import load_config
+        from datagen.report import progress
+        from datagen.stats.collect import measure_dataset, measure_samples
+        from scenes.assets.library import AssetLibrary
+
+        if (self.dir is None) == (self.sample is None):
+            raise UserError("say either which dataset to measure (multilight stats DIR) or --sample N")
+        with progress("scenes") as report:
+            if self.dir is not None:
+                library = AssetLibrary(folders=self.assets)
+                return measure_dataset(self.dir, library, report), self.out or self.dir / "stats"
+            assert self.sample is not None
+            if self.sample < 1:
+                raise UserError(f"--sample {self.sample} must be 1 or more")
+            config = load_config(self.config, {}, self.preset)
+            return measure_samples(config, self.sample, AssetLibrary(folders=self.assets), report), self.out
+
+
+@dataclass
+class Config:
+    """Show the configuration of a preset, or the defaults: every key with value, unit, range and meaning."""
+
+    action: tyro.conf.Positional[Literal["show"]]
+    """What to do."""
+    preset: tyro.conf.Positional[Preset | None] = None
+    """Which preset (default: none)."""
+    json: bool = False
+    """Print JSON instead of a table."""
+
+    def run(self) -> int:
+        """Print and return the exit code."""
+        from datagen.config_table import print_config
+
+        return print_config(self.preset, as_json=self.json)
+
+
+@dataclass
+class Doctor:
+    """Show what this machine has, which renderer will be used and why, and what would make it faster.
+
+    Exit code 1 where nothing here can render.
+    """
+
+    fetch: bool = False
+    """Only this: fetch the LLVM that makes Mitsuba fast into the cache, where it is needed; no root required."""
+    json: bool = False
+    """Print JSON instead of a table."""
+
+    def run(self) -> int:
+        """Examine, or fetch, and return the exit code."""
+        from datagen import doctor
+
+        return doctor.fetch() if self.fetch else doctor.report(as_json=self.json)
+
+
 Command = (
     Annotated[Dataset, tyro.conf.subcommand("dataset")]
     | Annotated[Scene, tyro.conf.subcommand("scene")]
@@ -183,6 +277,9 @@ Command = (
     | Annotated[Mix, tyro.conf.subcommand("mix")]
     | Annotated[Sheet, tyro.conf.subcommand("sheet")]
     | Annotated[Assets, tyro.conf.subcommand("assets")]
+    | Annotated[Stats, tyro.conf.subcommand("stats")]
+    | Annotated[Config, tyro.conf.subcommand("config")]
+    | Annotated[Doctor, tyro.conf.subcommand("doctor")]
 )
 
 
@@ -226,11 +323,14 @@ def _is_for_users(error: RuntimeError) -> bool:
 def _make(options: _Options, config: object, indices: tuple[int, ...], workers: int | None) -> int:
     from datagen.config import DatasetConfig
     from datagen.dataset import Plan, default_workers, make_dataset
+    from datagen.doctor import slow_note
     from datagen.report import progress
 
     assert isinstance(config, DatasetConfig)
     if workers is not None and workers < 1:
         raise UserError(f"--workers {workers} must be 1 or more")
+    if note := slow_note(config.renderer):
+        print(note, file=sys.stderr)
     plan = Plan(options.out, config, indices, workers or default_workers(len(indices)), options.assets)
     with progress("views") as report:
         outcome = make_dataset(plan, report)
@@ -240,6 +340,8 @@ def _make(options: _Options, config: object, indices: tuple[int, ...], workers: 
         print(f"  {asset}: {reason}", file=sys.stderr)
     for index, reason in outcome.failures.items():
         print(f"failed: scene {index}: {reason}", file=sys.stderr)
+    if spent := sum(outcome.seconds.values()):
+        print(", ".join(f"{stage} {share / spent:.0%}" for stage, share in outcome.seconds.items()) + " of the time")
     if outcome.made or outcome.failures:
         summary = {"made": len(outcome.made), "kept": outcome.kept, "failed": len(outcome.failures)}
         print(f"{options.out}: " + json.dumps(summary).strip("{}").replace('"', ""))

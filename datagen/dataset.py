@@ -16,6 +16,8 @@ from pathlib import Path
 from pebble import ProcessExpired, ProcessFuture, ProcessPool
 
 from datagen.backends import RendererName, resolve_renderer
+from datagen.backends.variants import choose_variant
+from datagen.background import check_background
 from datagen.config import DatasetConfig
 from datagen.errors import RunStoppedError, UserError, full_disk_told
 from datagen.index import write_index
@@ -43,12 +45,16 @@ class Plan:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run did; `failures` maps a scene, `broken` an asset that was passed over, to one line of reason."""
+    """What a run did; `failures` maps a scene, `broken` an asset that was passed over, to one line of reason.
+
+    `seconds` maps each stage of the scenes that were made to the time it took, over all workers.
+    """
 
     made: tuple[int, ...]
     kept: int
     failures: dict[int, str]
     broken: dict[str, str]
+    seconds: dict[str, float]
 
 
 Report = Callable[[float, float], None]
@@ -57,10 +63,11 @@ Report = Callable[[float, float], None]
 
 @dataclass(frozen=True)
 class _Watch:
-    """What is learned while the workers run: progress, and broken assets."""
+    """What is learned while the workers run: progress, broken assets, and where the time goes."""
 
     report: Report
     broken: dict[str, str]
+    seconds: dict[str, float]
 
 
 def make_dataset(plan: Plan, report: Report) -> Outcome:
@@ -71,6 +78,7 @@ def make_dataset(plan: Plan, report: Report) -> Outcome:
     """
     renderer = resolve_renderer(plan.config.renderer)
     _check_kind(plan.config, renderer)
+    check_background(plan.config)
     with _locked(plan.root), full_disk_told(plan.root):
         _open_record(plan, renderer)
         for leftover in ("work", "logs"):
@@ -81,11 +89,12 @@ def make_dataset(plan: Plan, report: Report) -> Outcome:
         if not missing:
             if not (plan.root / "index.parquet").is_file():
                 write_index(plan.root)
-            return Outcome((), kept, {}, {})
-        broken = _broken_models(plan.asset_folders)
-        failures = _run(plan, renderer, missing, _Watch(report, broken))
+            return Outcome((), kept, {}, {}, {})
+        watch = _Watch(report, _broken_models(plan.asset_folders), {})
+        failures = _run(plan, renderer, missing, watch)
         _finish(plan.root)
-        return Outcome(tuple(i for i in missing if i not in failures), kept, failures, broken)
+        made = tuple(i for i in missing if i not in failures)
+        return Outcome(made, kept, failures, watch.broken, dict(watch.seconds))
 
 
 def default_workers(scenes: int) -> int:
@@ -126,7 +135,8 @@ def _open_record(plan: Plan, renderer: RendererName) -> None:
         if any(not p.name.startswith(".") for p in plan.root.iterdir()):
             raise UserError(f"output folder {plan.root} holds other files and no dataset; choose an empty --out")
         versions = {package: importlib.metadata.version(package) for package in VERSIONS}
-        record = DatasetRecord(config=plan.config, renderer=renderer, versions=versions)
+        variant = choose_variant().variant if renderer == "mitsuba" else ""
+        record = DatasetRecord(config=plan.config, renderer=renderer, variant=variant, versions=versions)
         write_text(path, record.model_dump_json(indent=1))
         return
     record = read_dataset(plan.root)
@@ -210,7 +220,10 @@ def _failure(plan: Plan, index: int, future: ProcessFuture, watch: _Watch) -> st
     """Return why a scene was not made, or None; what stops every scene (a full disk) is raised."""
     where = f"seed {plan.config.seed}, log {log_path(plan.root, index)}"
     try:
-        watch.broken.update(future.result())
+        report = future.result()
+        watch.broken.update(report.broken)
+        for stage, seconds in report.seconds.items():
+            watch.seconds[stage] = watch.seconds.get(stage, 0.0) + seconds
     except FutureTimeout:
         return f"took longer than {_timeout(plan.config):.0f} s and was stopped ({where})"
     except ProcessExpired as error:

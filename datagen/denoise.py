@@ -1,113 +1,206 @@
 """Denoise each light's layer on its own, so that any mix of layers stays clean.
 
-Intel Open Image Denoise (Áfra 2019) through `mitsuba_oidn`, guided by albedo and normals.
+Intel Open Image Denoise (Áfra 2019) through `mitsuba_oidn`, guided by albedo and normals. Its cost is proportional
+to the area, so of a variant only those rectangles are denoised in which it differs from `all`.
 """
 
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, gaussian_filter
+from scipy.ndimage import binary_dilation, find_objects, gaussian_filter, label, uniform_filter
 
 from datagen.layers import Float32, LayerStack
+from lights.tonemap import LUMINANCE_WEIGHTS, MIDDLE_GREY
 
-WHOLE = (slice(None), slice(None))
-CROP, MARGIN = 64, 16  # pixels: sizes are multiples, so that few filters are made; what a denoiser sees beyond an edge
-SEAM = 3  # pixels round a changed one in which a variant may differ from `all`
+AUTO_SPP = 2048  # samples a pixel at which raw layers were as near to a converged render as denoised ones
+Mask = NDArray[np.bool_]
+Box = tuple[int, int, int, int]
+"""Rows and columns of a rectangle: first row, end row, first column, end column."""
+
+TILE = 16  # pixels: rectangles are made of such tiles, and reach at least one beyond what they are for
+VISIBLE = 0.03  # share of the local radiance that a change must reach: about the least contrast that an eye notices
+WINDOW = 9  # pixels over which that share is taken
+SEAM = 3  # pixels round a change within which the clean pictures of a variant and of `all` are blended
 
 
-def denoise_all(stack: LayerStack) -> Float32:
-    """Denoise every layer of variant `all`; returns (L, H, W, 3) float32."""
-    return np.stack([_denoise(layer, stack) for layer in stack.radiance])
+def denoise_all(stack: LayerStack, *, threads: int = 1) -> Float32:
+    """Denoise every layer of variant `all`, (L, H, W, 3) float32; the number of threads changes no bit."""
+    height, width = stack.combined.shape[:2]
+
+    def one(light: int) -> Float32:
+        return _denoise(stack, light, (0, height, 0, width), _scale(stack.radiance[light]))
+
+    return _each_light(one, stack, threads)
 
 
-def denoise_without(stack: LayerStack, everything: LayerStack, clean: Float32) -> Float32:
-    """Denoise a variant where it differs from `all` and take `all`'s clean pixels elsewhere, (L, H, W, 3).
+def denoise_without(stack: LayerStack, everything: LayerStack, clean: Float32, *, threads: int = 1) -> Float32:
+    """Denoise a variant where it differs visibly from `all` and take `all`'s clean pixels elsewhere, (L, H, W, 3).
 
-    With common random numbers most pixels are bit-identical in both renders, so that the effect of the
-    removed object is exactly zero wherever it has no influence.
+    With common random numbers most pixels are bit-identical in both renders. Farther than WINDOW / 2 + 2 SEAM pixels
+    from those that changed, the effect of the removed object is exactly zero.
     """
-    layers = clean.copy()
-    for i, (raw, raw_all) in enumerate(zip(stack.radiance, everything.radiance, strict=True)):
-        changed = (raw != raw_all).any(axis=-1)
+
+    def one(light: int) -> Float32:
+        raw, raw_all, layer = stack.radiance[light], everything.radiance[light], clean[light].copy()
         if not raw.any():
-            layers[i] = 0.0
-        elif changed.any():
-            weight = _soft_mask(changed)[..., None]
-            layers[i] += weight * (_denoise(raw, stack) - clean[i])
-    return layers
+            return raw
+        seen = _visible_change(raw, raw_all, layer)
+        weight = _soft_mask(seen)[..., None]
+        for box in _rectangles(seen):
+            at = np.s_[box[0] : box[1], box[2] : box[3]]
+            layer[at] += weight[at] * (_denoise(stack, light, box, _scale(raw_all)) - layer[at])
+        return layer
+
+    return _each_light(one, stack, threads)
 
 
-def foreground_layers(foreground: LayerStack, clean: Float32) -> Float32:
-    """Give an object its own part of the clean picture: premultiplied radiance, (L, H, W, 3).
+def foreground_layers(foreground: LayerStack, whole: Float32) -> Float32:
+    """Give an object its own part of the picture: premultiplied radiance, (L, H, W, 3).
 
-    Inside the object that is variant `all` itself and outside it is nothing; on its outline the object's own
-    samples are denoised apart from what lies behind, so that nothing of that bleeds in.
+    Inside the object that is `whole`, variant `all`, itself, and outside it is nothing; its outline shows the
+    object's own samples.
     """
-    return _inside_all(foreground, clean, foreground.radiance)
+    return _inside_all(foreground, whole, foreground.radiance)
 
 
-def denoise_foreground(foreground: LayerStack, clean: Float32) -> Float32:
-    """Denoise an object's own part of the picture, as `foreground_layers`, (L, H, W, 3)."""
+def denoise_foreground(foreground: LayerStack, clean: Float32, *, threads: int = 1) -> Float32:
+    """Denoise an object's own part of the picture, as `foreground_layers`, (L, H, W, 3).
+
+    On its outline the object's own samples are denoised apart from what lies behind, so that nothing of that
+    bleeds in.
+    """
     assert foreground.coverage is not None
-    rows, columns = _crop(foreground.coverage > 0)
-    layers = np.zeros_like(clean)
-    for i, raw in enumerate(foreground.radiance):
-        layers[i, rows, columns] = _denoise(raw, foreground, (rows, columns))
-    return _inside_all(foreground, clean, layers)
+    boxes = _rectangles((foreground.coverage > 0) & (foreground.coverage < 1))
+
+    def one(light: int) -> Float32:
+        layer = np.zeros_like(clean[light])
+        for box in boxes:
+            layer[box[0] : box[1], box[2] : box[3]] = _denoise(foreground, light, box, _scale(clean[light]))
+        return layer
+
+    return _inside_all(foreground, clean, _each_light(one, foreground, threads))
 
 
-def _inside_all(foreground: LayerStack, clean: Float32, edge: Float32) -> Float32:
+def _inside_all(foreground: LayerStack, whole: Float32, edge: Float32) -> Float32:
     assert foreground.coverage is not None
     alpha = foreground.coverage[..., None]
-    return np.where(alpha >= 1.0, clean, np.where(alpha <= 0.0, np.float32(0.0), edge))
+    return np.where(alpha >= 1.0, whole, np.where(alpha <= 0.0, np.float32(0.0), edge))
 
 
-def _crop(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
-    """Return rows and columns that hold all of a mask, with a margin, in few different sizes."""
+def _visible_change(raw: Float32, raw_all: Float32, clean: Float32) -> Mask:
+    """Tell where a variant differs from `all` by more than chance, and by more than an eye would miss.
 
-    def span(hit: NDArray[np.bool_]) -> slice:
-        where = np.flatnonzero(hit)
-        if where.size == 0:
-            return slice(0, min(CROP, len(hit)))
-        start = max(0, int(where[0]) - MARGIN)
-        length = -(-(int(where[-1]) + 1 + MARGIN - start) // CROP) * CROP
-        start = max(0, min(start, len(hit) - length))
-        return slice(start, min(start + length, len(hit)))
-
-    return span(mask.any(axis=1)), span(mask.any(axis=0))
+    A few paths that met the object change a pixel at random, in the whole picture; shadows and reflections change
+    all pixels of a neighbourhood alike, and what is left of an outline changes some by a lot.
+    """
+    change = (raw - raw_all).mean(axis=-1)
+    local = uniform_filter(clean.mean(axis=-1), WINDOW) + VISIBLE * clean.mean()
+    chance = np.sqrt(np.maximum(uniform_filter(change * change, WINDOW), 0)) / WINDOW  # standard error of the mean
+    alike = np.abs(uniform_filter(change, WINDOW)) > VISIBLE * local + 2 * chance
+    return alike | (uniform_filter(np.abs(change), 3) > local)
 
 
-def _soft_mask(changed: NDArray[np.bool_]) -> Float32:
-    wide = binary_dilation(changed, iterations=2 * SEAM)
+def _soft_mask(mask: Mask) -> Float32:
+    """Return 1 in the mask, falling to 0 within 2 SEAM pixels of it."""
+    wide = binary_dilation(mask, iterations=SEAM)
     soft = gaussian_filter(wide.astype(np.float32), SEAM / 1.5, truncate=1.5)
-    return np.where(changed, np.float32(1.0), soft)
+    return np.where(mask, np.float32(1.0), soft)
+
+
+def _rectangles(mask: Mask) -> list[Box]:
+    """Cover a mask, with a margin, by disjoint rectangles of little area."""
+    height, width = mask.shape
+    rows, columns = -(-height // TILE), -(-width // TILE)
+    padded = np.zeros((rows * TILE, columns * TILE), bool)
+    padded[:height, :width] = mask
+    tiles = padded.reshape(rows, TILE, columns, TILE).any(axis=(1, 3))
+    around = np.ones((3, 3), bool)
+    labels, _ = label(binary_dilation(tiles, around), around)
+    boxes = [(r.start, r.stop, c.start, c.stop) for r, c in find_objects(labels)]
+    while (pair := next((p for p in combinations(boxes, 2) if _better_joined(*p)), None)) is not None:
+        boxes = [box for box in boxes if box not in pair] + [_joined(*pair)]
+    return [
+        (top * TILE, min(end * TILE, height), left * TILE, min(right * TILE, width)) for top, end, left, right in boxes
+    ]
+
+
+def _joined(a: Box, b: Box) -> Box:
+    return min(a[0], b[0]), max(a[1], b[1]), min(a[2], b[2]), max(a[3], b[3])
+
+
+def _better_joined(a: Box, b: Box) -> bool:
+    """Tell whether two rectangles overlap, or one round both would be no larger than the two."""
+    overlap = a[0] < b[1] and b[0] < a[1] and a[2] < b[3] and b[2] < a[3]
+    return overlap or _area(_joined(a, b)) <= _area(a) + _area(b)
+
+
+def _area(box: Box) -> int:
+    return (box[1] - box[0]) * (box[3] - box[2])
+
+
+def _scale(layer: Float32) -> float:
+    """Return the factor that brings a layer's log-mean luminance to middle grey, over blocks of 16 x 16 pixels.
+
+    It is what the denoiser would choose itself (OIDN 2, "autoexposure"), but from the whole layer: rectangles that
+    each chose their own would show seams.
+    """
+    height, width = layer.shape[:2]
+    tops, lefts = np.arange(0, height, TILE), np.arange(0, width, TILE)
+    grey = layer @ np.array(LUMINANCE_WEIGHTS, np.float32)
+    sums = np.add.reduceat(np.add.reduceat(grey, tops, axis=0), lefts, axis=1)
+    blocks = sums / (np.diff(tops, append=height)[:, None] * np.diff(lefts, append=width))
+    lit = blocks[blocks > 1e-8]
+    return float(MIDDLE_GREY / np.exp(np.log(lit).mean())) if lit.size else 1.0
+
+
+def _each_light(denoise: Callable[[int], Float32], stack: LayerStack, threads: int) -> Float32:
+    lights = range(len(stack.lights))
+    return np.stack(list(map(denoise, lights) if threads == 1 else _pool(threads).map(denoise, lights)))
 
 
 @cache
-def _device() -> Any:
-    """Open the denoiser on one thread: its results depend, in the last bits, on how many there are."""
-    import mitsuba_oidn
-
-    device = mitsuba_oidn.Device(mitsuba_oidn.DeviceType.CPU)
-    device.num_threads = 1
-    return device
+def _pool(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(threads, thread_name_prefix="denoise")
 
 
-def _denoise(layer: Float32, stack: LayerStack, crop: tuple[slice, slice] = WHOLE) -> Float32:
-    import mitsuba_oidn
+class _Denoiser(threading.local):
+    """One filter a thread, used for every layer: a filter takes images of other sizes at next to no cost.
 
-    layer = layer[crop]
+    Each computes on one thread, because its results depend, in the last bits, on how many there are.
+    """
+
+    def __init__(self) -> None:
+        import mitsuba_oidn
+
+        device = mitsuba_oidn.Device(mitsuba_oidn.DeviceType.CPU)
+        device.num_threads = 1
+        self.filter: Any = device.new_filter("RT")
+        self.filter.hdr = True
+
+
+@cache
+def _denoiser() -> _Denoiser:
+    return _Denoiser()
+
+
+def _denoise(stack: LayerStack, light: int, box: Box, scale: float) -> Float32:
+    at = np.s_[box[0] : box[1], box[2] : box[3]]
+    layer = np.ascontiguousarray(stack.radiance[light][at])
+    clean = np.empty_like(layer)
     if not layer.any():
         return layer
     assert stack.guide_albedo is not None
     assert stack.guide_normal is not None
-    clean = mitsuba_oidn.denoise(
-        np.ascontiguousarray(layer),
-        albedo=np.ascontiguousarray(stack.guide_albedo[crop]),
-        normal=np.ascontiguousarray(stack.guide_normal[crop]),
-        hdr=True,
-        device=_device(),
-    )
-    return np.maximum(np.asarray(clean, dtype=np.float32), 0.0)
+    images = {"color": layer, "albedo": stack.guide_albedo[at], "normal": stack.guide_normal[at], "output": clean}
+    denoiser = _denoiser().filter
+    for name, image in images.items():
+        denoiser.set_image(name, np.ascontiguousarray(image))
+    denoiser.input_scale = scale
+    denoiser.execute()
+    return np.maximum(clean, 0.0)

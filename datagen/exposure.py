@@ -7,9 +7,12 @@ import numpy as np
 from datagen.layers import Float32
 from lights.relight import mix
 from lights.spec import LightingCondition
-from lights.tonemap import meter_ev
+from lights.tonemap import luminance, meter_ev
 
 THUMBNAIL = 32  # pixels a side of the pictures that are metered
+DARK = 0.05  # luminance that the brightest twentieth of every view must reach (middle grey is 0.18)
+BRIGHT = 4.0  # luminance that the median of every view must stay below
+LIFTED_DARK, LIFTED_BRIGHT = 1.2 * DARK, 1.0  # how far a dark view is brightened, and what others may then reach
 
 
 def thumbnail(layers: Float32, size: int = THUMBNAIL) -> Float32:
@@ -24,7 +27,15 @@ def thumbnail(layers: Float32, size: int = THUMBNAIL) -> Float32:
 def meter_condition(
     condition: LightingCondition, lights: Sequence[str], thumbnails: Sequence[Float32]
 ) -> LightingCondition:
-    """Add the metered exposure over all views to the condition's own exposure offset."""
+    """Add the metered exposure over all views to the condition's own exposure offset.
+
+    A view that would come out black is brightened, as far as the others allow: a small lamp may light some views only.
+    """
     unexposed = condition.model_copy(update={"exposure_ev": 0.0})
-    pictures = np.concatenate([mix(t, lights, unexposed).reshape(-1, 3) for t in thumbnails])
-    return condition.model_copy(update={"exposure_ev": round(condition.exposure_ev + meter_ev(pictures[None]), 4)})
+    pictures = [mix(t, lights, unexposed).reshape(-1, 3) for t in thumbnails]
+    exposure = condition.exposure_ev + meter_ev(np.concatenate(pictures)[None])
+    medians, highs = np.transpose([np.percentile(luminance(picture), [50, 95]) for picture in pictures]) * 2.0**exposure
+    if highs.min() > 0:
+        room = np.log2(LIFTED_BRIGHT / max(float(medians.max()), 1e-9))
+        exposure += max(0.0, float(min(np.log2(LIFTED_DARK / highs.min()), room)))
+    return condition.model_copy(update={"exposure_ev": round(exposure, 4)})

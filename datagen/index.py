@@ -25,6 +25,7 @@ def index_row(record: SceneRecord) -> dict[str, Any]:
         "index": record.index,
         "seed": record.seed,
         "kind": record.scene.kind,
+        "split": record.split,
         "renderer": record.renderer,
         "views": len(record.views),
         "width": record.views[0].width,

@@ -2,31 +2,36 @@
 
 import os
 import shutil
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
-from datagen.backends import Backend, RendererName, RenderJob, RenderSettings
+from datagen.backends import Backend, RendererName, RenderSettings
 from datagen.config import DatasetConfig
-from datagen.denoise import denoise_all, denoise_foreground, denoise_without, foreground_layers
+from datagen.denoise import AUTO_SPP
 from datagen.errors import UserError, full_disk_told
 from datagen.exposure import meter_condition, thumbnail
-from datagen.layers import Float32, LayerStack
 from datagen.records import AssetCredit, SceneRecord, ViewRecord
 from datagen.sheet import save_preview
-from datagen.store import ViewData, file_sha256, scene_dir, view_file, write_text, write_view
-from datagen.verify import Fault, verify_scene
+from datagen.stopwatch import Stopwatch
+from datagen.store import ViewData, file_sha256, read_view, scene_dir, view_file, write_text, write_view
+from datagen.verify import Fault, brightness, verify_exposure, verify_pair, verify_rendered
+from datagen.views import RenderedView, Shoot, render_view
 from lights.conditions import sample_conditions
 from lights.rigs import SPHERES_KINDS, sample_rig
-from lights.spec import EnvironmentLight, LightRig
+from lights.spec import EmissiveLight, EnvironmentLight, LightRig
 from scenes.assets.library import AssetError, AssetLibrary
+from scenes.custom import sample_custom
+from scenes.outdoor import sample_outdoor
+from scenes.rooms.sample import RoomSettings, sample_room
 from scenes.spec import MeshAsset, SceneSpec
 from scenes.spheres import sample_spheres
+from scenes.still_life import StillLifeSettings
 from scenes.streams import Streams
-from scenes.tabletop import TabletopSettings, sample_tabletop
+from scenes.studio import sample_studio
+from scenes.tabletop import sample_tabletop
 
 ATTEMPTS = 3
+SAMPLERS = {"tabletop": sample_tabletop, "outdoor": sample_outdoor, "studio": sample_studio, "custom": sample_custom}
 
 
 class SceneFailedError(UserError):
@@ -46,41 +51,62 @@ class Maker:
 
     @property
     def denoises(self) -> bool:
-        """Whether layers are denoised: a closed form has no noise."""
-        return self.config.denoise and self.renderer != "analytic"
+        """Whether layers are denoised: `auto` does where samples are few, and a closed form has no noise."""
+        wanted = self.config.denoise == "on" or (self.config.denoise == "auto" and self.config.spp < AUTO_SPP)
+        return wanted and self.renderer != "analytic"
+
+
+@dataclass(frozen=True)
+class Made:
+    """A finished scene: its folder, and the seconds that rendering, denoising and the rest took."""
+
+    folder: Path
+    seconds: dict[str, float]
 
 
 def sample_scene(config: DatasetConfig, library: AssetLibrary, streams: Streams) -> tuple[SceneSpec, LightRig]:
-    """Draw what is there and what shines; depends on nothing but the configuration, the assets and the streams."""
-    if config.kind == "spheres":
+    """Draw what is there and what shines; depends on nothing but the configuration, the assets and the streams.
+
+    Only assets of the scene's split are drawn. Raises `UserError` where no sampler makes that kind of scene.
+    """
+    kind = config.kind_of(streams.scene)
+    if kind == "spheres":
         scene = sample_spheres(
             streams, index=streams.scene, width=config.width, height=config.height, views=config.views
         )
         return scene, sample_rig(streams, scene, library, kinds=SPHERES_KINDS)
-    settings = TabletopSettings(
+    library = library.restricted(config.split_of(streams.scene))
+    if kind == "room":
+        room = RoomSettings(width=config.width, height=config.height, views=config.views, insertable=config.insertable)
+        scene = sample_room(streams, library, index=streams.scene, settings=room)
+        return scene, sample_rig(streams, scene, library, lights=config.lights)
+    if kind not in SAMPLERS:
+        raise UserError(f"scene {streams.scene}: no sampler makes kind {kind!r}; there are {', '.join(SAMPLERS)}")
+    settings = StillLifeSettings(
         width=config.width,
         height=config.height,
         views=config.views,
         insertable=config.insertable,
         objects=config.objects,
+        cameras=config.cameras,
     )
-    scene = sample_tabletop(streams, library, index=streams.scene, settings=settings)
-    return scene, sample_rig(streams, scene, library)
+    scene = SAMPLERS[kind](streams, library, index=streams.scene, settings=settings)
+    return scene, sample_rig(streams, scene, library, lights=config.lights)
 
 
-def make_scene(maker: Maker, index: int) -> Path:
-    """Make a scene and return its folder; nothing is there under that name before it is whole and verified.
+def make_scene(maker: Maker, index: int) -> Made:
+    """Make a scene; nothing is there under its name before it is whole and verified.
 
-    A draw whose checks fail, or that holds a broken asset, is thrown away and drawn anew, at most `ATTEMPTS`
-    times; raises `SceneFailedError` with the faults, or `UserError` when the output is full.
+    A draw is thrown away as soon as one of its views fails a check or an asset of it is broken, and drawn anew, at
+    most `ATTEMPTS` times; raises `SceneFailedError` with the faults, or `UserError` when the output is full.
     """
     work = maker.root / "work" / f"{index:06d}-{os.getpid()}"
+    watch = Stopwatch()
     faults: list[Fault] = []
     for attempt in range(ATTEMPTS):
         try:
             with full_disk_told(maker.root):
-                _write_scene(maker, index, attempt, work)
-                faults = verify_scene(work)
+                faults = _write_scene(maker, Streams(maker.config.seed, index, attempt), work, watch)
         except AssetError as error:
             faults = [Fault(index, None, "assets", str(error))]
         else:
@@ -89,92 +115,71 @@ def make_scene(maker: Maker, index: int) -> Path:
                 final.parent.mkdir(parents=True, exist_ok=True)
                 shutil.rmtree(final, ignore_errors=True)  # what lies there has no scene.json
                 work.rename(final)
-                return final
+                return Made(final, watch.seconds())
         finally:
             shutil.rmtree(work, ignore_errors=True)
-        print(f"scene {index}, attempt {attempt}: " + "; ".join(f"{f.check}: {f.message}" for f in faults))
-    first = faults[0]
+        print(f"scene {index}, attempt {attempt}: " + "; ".join(_told(fault) for fault in faults))
     raise SceneFailedError(
-        f"scene {index} (seed {maker.config.seed}) failed its checks {ATTEMPTS} times; "
-        f"the last: view {first.view}: {first.check}: {first.message}"
+        f"scene {index} (seed {maker.config.seed}) failed its checks {ATTEMPTS} times; the last: {_told(faults[0])}"
     )
 
 
-def _write_scene(maker: Maker, index: int, attempt: int, work: Path) -> None:
-    streams = Streams(maker.config.seed, index, attempt)
+def _told(fault: Fault) -> str:
+    return ("" if fault.view is None else f"view {fault.view}: ") + f"{fault.check}: {fault.message}"
+
+
+def _write_scene(maker: Maker, streams: Streams, work: Path, watch: Stopwatch) -> list[Fault]:
+    """Draw and render a scene into a folder, view by view; return the faults of the first view that has any."""
+    record = _draw(maker, streams)
+    shoot = Shoot(
+        maker.backend,
+        record.scene,
+        record.rig,
+        RenderSettings(spp=maker.config.spp, threads=maker.threads),
+        denoise=maker.denoises,
+        keep_raw=maker.config.keep_raw,
+    )
+    thumbnails, brightnesses = [], []
+    before: ViewData | None = None
+    for number in range(len(record.scene.cameras)):
+        rendered = render_view(shoot, number, watch)
+        path = work / view_file(number)
+        write_view(path, rendered.data)
+        record = record.model_copy(update={"views": (*record.views, _view_record(record.scene, path, rendered))})
+        view = read_view(path)
+        faults = verify_rendered(record, number, view)
+        if before is not None:
+            faults += verify_pair(record, (number - 1, before), (number, view))
+        if faults:
+            return faults
+        before = view
+        thumbnails.append(thumbnail(view.variants["all"]))
+        brightnesses.append(brightness(record, view))
+    metered = tuple(meter_condition(c, view.lights, thumbnails) for c in record.conditions)
+    record = record.model_copy(update={"conditions": metered})
+    save_preview(work, record)
+    write_text(work / "scene.json", record.model_dump_json(indent=1))
+    return [f for number, found in enumerate(brightnesses) for f in verify_exposure(record, number, found)]
+
+
+def _draw(maker: Maker, streams: Streams) -> SceneRecord:
+    """Draw a scene, its rig and its lighting conditions: a record without views, and with nothing metered."""
     scene, rig = sample_scene(maker.config, maker.library, streams)
-    assets = credits_of(scene, rig, maker.library)
-    records, thumbnails = [], []
-    for view in range(len(scene.cameras)):
-        data, additivity = render_view(maker, scene, rig, view)
-        path = work / view_file(view)
-        write_view(path, data)
-        records.append(_view_record(scene, view, path, data, additivity))
-        thumbnails.append(thumbnail(data.variants["all"]))
-    conditions = sample_conditions(streams("conditions"), rig, maker.config.conditions)
-    record = SceneRecord(
+    return SceneRecord(
         seed=maker.config.seed,
-        index=index,
-        attempt=attempt,
+        index=streams.scene,
+        attempt=streams.attempt,
+        split=maker.config.split_of(streams.scene),
         renderer=maker.renderer,
         denoised=maker.denoises,
         scene=scene,
         scene_sha256=scene.sha256(),
         rig=rig,
         rig_sha256=rig.sha256(),
-        conditions=tuple(meter_condition(c, rig.names, thumbnails) for c in conditions),
-        views=tuple(records),
-        assets=assets,
+        conditions=sample_conditions(streams("conditions"), rig, maker.config.conditions),
+        views=(),
+        assets=credits_of(scene, rig, maker.library),
     )
-    save_preview(work, record)
-    write_text(work / "scene.json", record.model_dump_json(indent=1))
-
-
-def render_view(maker: Maker, scene: SceneSpec, rig: LightRig, view: int) -> tuple[ViewData, float]:
-    """Render all variants of a view; also returns how far the raw layers are from the combined render."""
-    settings = RenderSettings(spp=maker.config.spp, threads=maker.threads)
-
-    def render(variant: str) -> LayerStack:
-        return maker.backend.render(RenderJob(scene, rig, settings, view, variant))
-
-    everything = render("all")
-    assert everything.geometry is not None
-    clean = denoise_all(everything) if maker.denoises else everything.radiance
-    variants: dict[str, Float32] = {"all": clean}
-    foregrounds = _within_pixels({name: render(f"foreground_{name}") for name in scene.insertable})
-    coverage = {name: stack.coverage for name, stack in foregrounds.items() if stack.coverage is not None}
-    for name, foreground in foregrounds.items():
-        without = render(f"without_{name}")
-        if maker.denoises:
-            variants[f"without_{name}"] = denoise_without(without, everything, clean)
-            variants[f"foreground_{name}"] = denoise_foreground(foreground, clean)
-        else:
-            variants[f"without_{name}"] = without.radiance
-            variants[f"foreground_{name}"] = foreground_layers(foreground, clean)
-    free = np.clip(1.0 - sum(coverage.values()), 0.0, 1.0)
-    geometry = replace(everything.geometry, environment=np.minimum(everything.geometry.environment, free))
-    data = ViewData(rig.names, variants, coverage, geometry, everything.combined)
-    return data, additivity_residual(everything)
-
-
-def _within_pixels(foregrounds: dict[str, LayerStack]) -> dict[str, LayerStack]:
-    """Scale objects down where together they cover more than the pixel.
-
-    Each is rendered on its own, so where see-through things overlap the estimates need not add up.
-    """
-    total = np.maximum(sum(stack.coverage for stack in foregrounds.values() if stack.coverage is not None), 1.0)
-    return {
-        name: replace(stack, coverage=stack.coverage / total, radiance=stack.radiance / total[..., None])
-        for name, stack in foregrounds.items()
-        if stack.coverage is not None
-    }
-
-
-def additivity_residual(stack: LayerStack) -> float:
-    """Return the largest |sum of layers - combined| / (combined + its mean) of a raw render."""
-    total = stack.radiance.sum(axis=0, dtype=np.float64)
-    scale = stack.combined + max(float(stack.combined.mean()), 1e-12)
-    return float((np.abs(total - stack.combined) / scale).max())
 
 
 def credits_of(scene: SceneSpec, rig: LightRig, library: AssetLibrary) -> tuple[AssetCredit, ...]:
@@ -185,22 +190,23 @@ def credits_of(scene: SceneSpec, rig: LightRig, library: AssetLibrary) -> tuple[
     used = {body.geometry.asset for body in scene.bodies if isinstance(body.geometry, MeshAsset)}
     used |= {light.map for light in rig.lights if isinstance(light, EnvironmentLight) and light.map}
     textures = {m.base_color_texture.image for b in scene.bodies for m in b.materials if m.base_color_texture}
+    textures |= {light.texture.image for light in rig.lights if isinstance(light, EmissiveLight) and light.texture}
     used |= textures & {info.id for info in library.list("texture")}
     infos = (library.info(asset) for asset in sorted(used))
     return tuple(AssetCredit(id=i.id, pack=i.pack, name=i.name, creator=i.creator, licence=i.licence) for i in infos)
 
 
-def _view_record(scene: SceneSpec, view: int, path: Path, data: ViewData, additivity: float) -> ViewRecord:
-    camera = scene.cameras[view]
-    energy = data.variants["all"].sum(axis=0).mean() / max(float(data.combined.mean()), 1e-12)
+def _view_record(scene: SceneSpec, path: Path, rendered: RenderedView) -> ViewRecord:
+    number = int(path.stem)
+    camera = scene.cameras[number]
     return ViewRecord(
-        file=view_file(view),
+        file=view_file(number),
         file_sha256=file_sha256(path),
         bytes=path.stat().st_size,
         width=camera.width,
         height=camera.height,
         K=tuple(tuple(row) for row in camera.intrinsics().tolist()),
         c2w=camera.c2w,
-        additivity=round(additivity, 9),
-        energy=round(float(energy), 5),
+        additivity=round(rendered.additivity, 9),
+        energy=rendered.energy,
     )

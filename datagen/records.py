@@ -9,8 +9,9 @@ from datagen.config import DatasetConfig
 from lights.spec import LightingCondition, LightRig
 from scenes.frozen import Frozen, Matrix4
 from scenes.spec import SceneSpec
+from scenes.splits import Split
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 
 class Schema(Frozen):
@@ -37,12 +38,22 @@ class AssetCredit(Frozen):
     licence: str
 
 
+class LayerEnergy(Frozen):
+    """What one layer held before denoising, as radiance averaged over the colour channels.
+
+    `mean` over the picture, and `noise`, one pixel's standard deviation by `datagen.energy`.
+    """
+
+    mean: float
+    noise: float
+
+
 class ViewRecord(Frozen):
-    """One view's file and camera, and how well the renderer's own picture agrees with the sum of layers.
+    """One view's file and camera, and what was rendered before denoising.
 
     `K` is in pixels; `c2w` is camera-to-world with OpenGL axes, metres. `additivity` is the largest
-    |sum of layers - combined| / (combined + mean) before denoising; `energy` is mean(sum of stored layers) /
-    mean(combined).
+    |sum of layers - combined| / (combined + mean) before denoising; `energy` holds, of each variant that is denoised
+    as a whole (`all`, `without_<object>`), what each light's layer carried then.
     """
 
     file: str
@@ -53,19 +64,20 @@ class ViewRecord(Frozen):
     K: tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
     c2w: Matrix4
     additivity: float
-    energy: float
+    energy: dict[str, dict[str, LayerEnergy]]
 
 
 class SceneRecord(Schema):
     """Everything about one scene: `scenes/000123/scene.json`.
 
     `attempt` counts the draws that were thrown away because a check failed; `denoised` layers are cleaned one by one;
-    `conditions` carry metered exposures.
+    `conditions` carry metered exposures; `split` says which assets and places the scene could draw from.
     """
 
     seed: int
     index: Annotated[int, Field(ge=0)]
     attempt: Annotated[int, Field(ge=0)]
+    split: Split = "train"
     renderer: RendererName
     denoised: bool
     scene: SceneSpec
@@ -95,9 +107,13 @@ class SceneRecord(Schema):
 
 
 class DatasetRecord(Schema):
-    """What a dataset was made with: `dataset.json`."""
+    """What a dataset was made with: `dataset.json`.
+
+    `variant` is Mitsuba's (`llvm_ad_rgb`, say) on the machine that began the dataset, empty for other renderers.
+    """
 
     config: DatasetConfig
     renderer: RendererName
+    variant: str = ""
     versions: dict[str, str]
     assets: tuple[AssetCredit, ...] = ()

@@ -7,7 +7,9 @@
     scenes/000123/views/03.exr        one multi-part OpenEXR a view
 
 Parts of a view: `all`, `without_<object>`, `foreground_<object>` (layers, channels `<variant>.<light>.R|G|B`),
-`combined` (`combined.R|G|B`, the renderer's own all-lights picture, raw), and `geometry`.
+`combined` (`combined.R|G|B`, the renderer's own all-lights picture, not denoised), and `geometry`. Where a denoised
+dataset keeps its raw layers, each variant comes a second time as it was rendered, with `raw_` before the part's and
+the channels' names: `raw_all`, `raw_all.<light>.R|G|B`, `raw_without_<object>`, `raw_foreground_<object>`.
 """
 
 import hashlib
@@ -28,6 +30,7 @@ from datagen.records import DatasetRecord, SceneRecord
 _Record = TypeVar("_Record", SceneRecord, DatasetRecord)
 COMPRESSION = OpenEXR.ZIP_COMPRESSION
 HALF_MAX = 65504.0
+RAW = "raw_"
 
 
 @dataclass(frozen=True)
@@ -35,7 +38,8 @@ class ViewData:
     """All that is stored of one view.
 
     lights: names, in layer order; variants: `all`, `without_<object>`, `foreground_<object>` →
-    (L, H, W, 3) float32 linear radiance; coverage: object → (H, W) float32 in [0, 1]; combined (H, W, 3).
+    (L, H, W, 3) float32 linear radiance; coverage: object → (H, W) float32 in [0, 1]; combined (H, W, 3);
+    raw: the variants before denoising under the same names, where they were kept.
     """
 
     lights: tuple[str, ...]
@@ -43,6 +47,7 @@ class ViewData:
     coverage: Mapping[str, Float32]
     geometry: GeometryBuffers
     combined: Float32 = field(repr=False)
+    raw: Mapping[str, Float32] = field(default_factory=dict, repr=False)
 
 
 def scene_dir(root: Path, index: int) -> Path:
@@ -70,7 +75,8 @@ def file_sha256(path: Path) -> str:
 
 def write_view(path: Path, view: ViewData) -> None:
     """Write one view as a multi-part OpenEXR file; radiance as half float, or float where half would overflow."""
-    parts = [_layers_part(variant, view.lights, layers) for variant, layers in view.variants.items()]
+    stored = dict(view.variants) | {RAW + variant: layers for variant, layers in view.raw.items()}
+    parts = [_layers_part(part, view.lights, layers) for part, layers in stored.items()]
     parts.append(_part("combined", _color_channels("combined", _radiance(view.combined))))
     parts.append(_part("geometry", _geometry_channels(view.geometry, view.coverage)))
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -87,12 +93,10 @@ def read_view(path: Path) -> ViewData:
             groups.setdefault(variant, {})[rest.split(".")[0]] = None
     try:
         lights = tuple(sorted(groups["all"]))
-        variants = {
-            variant: np.stack([_color(channels, f"{variant}.{light}") for light in lights]) for variant in groups
-        }
+        stored = {part: np.stack([_color(channels, f"{part}.{light}") for light in lights]) for part in groups}
         return ViewData(
             lights=lights,
-            variants=variants,
+            variants={part: layers for part, layers in stored.items() if not part.startswith(RAW)},
             coverage={
                 name[len("coverage_") : -2]: channels[name].astype(np.float32)
                 for name in channels
@@ -100,6 +104,7 @@ def read_view(path: Path) -> ViewData:
             },
             geometry=_geometry(channels),
             combined=_color(channels, "combined"),
+            raw={part[len(RAW) :]: layers for part, layers in stored.items() if part.startswith(RAW)},
         )
     except KeyError as error:
         raise StoreError(f"{path}: channel {error} is missing; the file is not a view of this layout") from None

@@ -8,22 +8,23 @@ from pathlib import Path
 import numpy as np
 
 from datagen import compose
+from datagen.energy import noise_variance, tolerance
 from datagen.errors import StoreError
+from datagen.exposure import BRIGHT, DARK
 from datagen.layers import Float32
-from datagen.records import SceneRecord
+from datagen.records import SceneRecord, ViewRecord
 from datagen.store import ViewData, file_sha256, read_dataset, read_scene, read_view, scene_dir, scene_indices
 from lights.spec import LightingCondition
 from lights.tonemap import luminance
 from scenes.cameras import reprojection_error
 
 ADDITIVITY = 1e-3  # raw layers against the renderer's own picture: float32 sums of half a dozen layers
-ENERGY = 0.3  # denoised layers against the raw picture: a denoiser spreads or drops what few samples found
+BLOCKS = 8  # blocks a side in which denoised layers are compared with the raw picture
+BAD_BLOCKS = 0.05  # share of them that may differ by more than their noise explains
 OVERLAP = 0.005  # rounding of half floats where coverages add up to one
 HALF = 2e-3  # twice the relative spacing of half floats, after sums
 REPROJECTION_SHARE = 0.97  # pixels that must land on or behind the other view's surface
 DEPTH_ERROR = 2e-3  # relative, median over smooth surfaces
-DARK = 0.05  # the brightest twentieth of a metered view must reach this luminance (middle grey is 0.18)
-BRIGHT = 4.0  # and its median must stay below this
 FIREFLY = 50.0  # times the brightest neighbour, and brighter than white
 
 
@@ -79,19 +80,22 @@ def verify_scene(folder: Path) -> list[Fault]:
             views.append(None)
     for (a, view_a), (b, view_b) in pairwise(enumerate(views)):
         if view_a is not None and view_b is not None:
-            faults += _reprojection(record, (a, view_a), (b, view_b))
+            faults += verify_pair(record, (a, view_a), (b, view_b))
     return faults
 
 
 def verify_view(record: SceneRecord, number: int, view: ViewData) -> list[Fault]:
     """Check one view's content against the scene's record."""
+    return verify_rendered(record, number, view) + verify_exposure(record, number, brightness(record, view))
+
+
+def verify_rendered(record: SceneRecord, number: int, view: ViewData) -> list[Fault]:
+    """Check what of one view can be checked before other views are rendered and exposures metered."""
     found = [
         *(("files", m) for m in _content(record, number, view)),
         *(("finite", m) for m in _finite(view)),
         *(("additivity", m) for m in _additivity(record, number, view)),
         *(("masks", m) for m in _masks(record, view)),
-        *(("exposure", m) for m in _exposure(record, view)),
-        *(("fireflies", m) for m in _fireflies(record, view)),
     ]
     if not any(check in ("files", "finite") for check, _ in found):
         found += [("composite", m) for m in _composite(record, view)]
@@ -104,6 +108,8 @@ def _content(record: SceneRecord, number: int, view: ViewData) -> Iterator[str]:
     wanted = {"all"} | {f"{action}_{name}" for action in ("without", "foreground") for name in names}
     if set(view.variants) != wanted:
         yield f"variants are {sorted(view.variants)}, expected {sorted(wanted)}"
+    if view.raw and set(view.raw) != wanted:
+        yield f"raw variants are {sorted(view.raw)}, expected {sorted(wanted)}"
     if set(view.lights) != set(record.rig.names):
         yield f"layers are {sorted(view.lights)}, the rig has {sorted(record.rig.names)}"
     camera = record.scene.cameras[number]
@@ -112,7 +118,7 @@ def _content(record: SceneRecord, number: int, view: ViewData) -> Iterator[str]:
 
 
 def _finite(view: ViewData) -> Iterator[str]:
-    for variant, layers in view.variants.items():
+    for variant, layers in (*view.variants.items(), *((f"raw {name}", raw) for name, raw in view.raw.items())):
         for light, layer in zip(view.lights, layers, strict=True):
             if not np.isfinite(layer).all() or layer.min() < 0:
                 yield f"{variant}.{light} holds NaN, infinite or negative radiance"
@@ -125,16 +131,45 @@ def _finite(view: ViewData) -> Iterator[str]:
 
 def _additivity(record: SceneRecord, number: int, view: ViewData) -> Iterator[str]:
     stated = record.views[number]
-    if stated.additivity > ADDITIVITY:
+    if not stated.additivity <= ADDITIVITY:  # so that NaN is a fault, too
         yield f"raw layers differ from the combined render by {stated.additivity:.2e} (limit {ADDITIVITY:.0e})"
     total, combined = view.variants["all"].sum(axis=0), view.combined
-    if not record.denoised and (off := _off(total, combined, np.ones(total.shape[:2], bool))) > 2 * HALF:
+    rendered = view.raw["all"].sum(axis=0) if view.raw else None if record.denoised else total
+    if rendered is not None and (off := _off(rendered, combined, np.ones(total.shape[:2], bool))) > 2 * HALF:
         yield f"stored layers differ from the combined render by {off:.2e} (limit {2 * HALF:.0e})"
-    # A few samples' highlights say little about a layer: the brightest twentieth is held to what bounds the rest.
-    limit = float(np.percentile(combined, 95))
-    energy = float(total.clip(max=limit).mean() / max(float(combined.clip(max=limit).mean()), 1e-9))
-    if abs(energy - 1) > ENERGY:
-        yield f"layers carry {energy:.3f} of the combined render's energy (allowed: 1 ± {ENERGY})"
+    if record.denoised:
+        yield from _energies(stated, view)
+        yield from _blocks(total, combined)
+
+
+def _energies(stated: ViewRecord, view: ViewData) -> Iterator[str]:
+    """Hold the mean of each denoised layer to what was rendered."""
+    for variant, lights in stated.energy.items():
+        for light, layer in zip(view.lights, view.variants.get(variant, ()), strict=False):
+            if light not in lights:
+                continue
+            rendered, stored = lights[light], float(layer.mean(dtype=np.float64))
+            allowed = float(tolerance(rendered.mean, rendered.noise, layer[..., 0].size))
+            if not abs(stored - rendered.mean) <= allowed:
+                yield (
+                    f"{variant}.{light} carries {stored:.4g}, but {rendered.mean:.4g} was rendered "
+                    f"(its noise explains a difference of {allowed:.2g})"
+                )
+
+
+def _blocks(total: Float32, combined: Float32) -> Iterator[str]:
+    """Hold the sum of the denoised layers to the raw picture in each of 8 x 8 blocks."""
+    height, width = (side // BLOCKS for side in combined.shape[:2])
+
+    def means(image: np.ndarray) -> np.ndarray:
+        cut = image[: BLOCKS * height, : BLOCKS * width]
+        return cut.reshape(BLOCKS, height, BLOCKS, width).mean(axis=(1, 3), dtype=np.float64)
+
+    rendered, stored = means(combined.mean(axis=-1)), means(total.mean(axis=-1))
+    allowed = tolerance(rendered, np.sqrt(means(noise_variance(combined))), height * width)
+    bad = np.abs(stored - rendered) > allowed + HALF * rendered.mean()
+    if bad.mean() > BAD_BLOCKS:
+        yield f"layers differ from the combined render by more than noise in {bad.sum()} of {bad.size} blocks"
 
 
 def _composite(record: SceneRecord, view: ViewData) -> Iterator[str]:
@@ -171,27 +206,46 @@ def _masks(record: SceneRecord, view: ViewData) -> Iterator[str]:
         yield "z_depth and instance_id disagree on where there is geometry"
 
 
-def _exposure(record: SceneRecord, view: ViewData) -> Iterator[str]:
-    for condition in record.conditions:
-        median, high = np.percentile(luminance(compose.target(view, condition)), [50, 95])
-        if high < DARK:
-            yield f"condition {condition.name}: black, the brightest twentieth reaches {high:.4f} (least {DARK})"
-        if median > BRIGHT:
-            yield f"condition {condition.name}: blown out, median luminance {median:.2f} (most {BRIGHT})"
+@dataclass(frozen=True)
+class Brightness:
+    """How bright a view is at 0 EV: luminances a condition (median, 95th percentile), and of the brightest pixel
+    that outshines all its neighbours with all lights on (0: there is none)."""
+
+    median: tuple[float, ...]
+    high: tuple[float, ...]
+    spike: float
 
 
-def _fireflies(record: SceneRecord, view: ViewData) -> Iterator[str]:
-    everything = LightingCondition(
-        name="all", gains=dict.fromkeys(view.lights, (1.0, 1.0, 1.0)), exposure_ev=record.conditions[0].exposure_ev
-    )
+def brightness(record: SceneRecord, view: ViewData) -> Brightness:
+    """Measure what `verify_exposure` needs, so that no picture must be kept until the exposures are metered."""
+    unexposed = [condition.model_copy(update={"exposure_ev": 0.0}) for condition in record.conditions]
+    pictures = [np.percentile(luminance(compose.target(view, condition)), [50, 95]) for condition in unexposed]
+    medians, highs = np.transpose(pictures)
+    everything = LightingCondition(name="all", gains=dict.fromkeys(view.lights, (1.0, 1.0, 1.0)))
     picture = luminance(compose.target(view, everything))
     padded = np.pad(picture, 1, mode="reflect")
     height, width = picture.shape
     shifts = [(y, x) for y in range(3) for x in range(3) if (y, x) != (1, 1)]
     neighbours = np.max([padded[y : y + height, x : x + width] for y, x in shifts], axis=0)
-    count = int(((picture > 1.0) & (picture > FIREFLY * neighbours)).sum())
-    if count:
-        yield f"{count} single pixels are over {FIREFLY:.0f} times brighter than all their neighbours"
+    spike = float(picture.max(initial=0.0, where=picture > FIREFLY * neighbours))
+    return Brightness(tuple(medians.tolist()), tuple(highs.tolist()), spike)
+
+
+def verify_exposure(record: SceneRecord, number: int, seen: Brightness) -> list[Fault]:
+    """Check that no lighting condition leaves a view black, blown out or with fireflies."""
+    faults = []
+    for condition, median, high in zip(record.conditions, seen.median, seen.high, strict=True):
+        gain = 2.0**condition.exposure_ev
+        if high * gain < DARK:
+            message = f"black, the brightest twentieth reaches {high * gain:.4f} (least {DARK})"
+            faults.append(Fault(record.index, number, "exposure", f"condition {condition.name}: {message}"))
+        if median * gain > BRIGHT:
+            message = f"blown out, median luminance {median * gain:.2f} (most {BRIGHT})"
+            faults.append(Fault(record.index, number, "exposure", f"condition {condition.name}: {message}"))
+    if seen.spike * 2.0 ** record.conditions[0].exposure_ev > 1.0:
+        message = f"a pixel brighter than white is over {FIREFLY:.0f} times brighter than all its neighbours"
+        faults.append(Fault(record.index, number, "fireflies", message))
+    return faults
 
 
 def _removal(record: SceneRecord, view: ViewData) -> Iterator[str]:
@@ -203,7 +257,7 @@ def _removal(record: SceneRecord, view: ViewData) -> Iterator[str]:
             yield f"removing {name} changes nothing where it was"
 
 
-def _reprojection(record: SceneRecord, first: tuple[int, ViewData], second: tuple[int, ViewData]) -> list[Fault]:
+def verify_pair(record: SceneRecord, first: tuple[int, ViewData], second: tuple[int, ViewData]) -> list[Fault]:
     """Carry each view's depth into the other: depth that is too small shows one way, too large the other."""
     faults = []
     for (a, view_a), (b, view_b) in ((first, second), (second, first)):

@@ -13,10 +13,10 @@ from functools import cache
 from pathlib import Path
 
 from datagen.backends import BackendError, RendererName, open_backend
+from datagen.background import open_library
 from datagen.config import DatasetConfig
 from datagen.errors import RunStoppedError, UserError
 from datagen.produce import Maker, make_scene
-from scenes.assets.library import AssetLibrary
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ def log_path(root: Path, index: int) -> Path:
 def _maker(setup: WorkerSetup) -> Maker:
     """Open the renderer, once for all scenes of this process; raises `RunStoppedError` where it cannot start."""
     threading.Thread(target=_die_with, args=(setup.parent,), daemon=True).start()
-    library = AssetLibrary(folders=setup.asset_folders)
+    library = open_library(setup.config, setup.asset_folders)
     try:
         # Never closed: the renderer lives as long as the process.
         backend = open_backend(setup.renderer, library).__enter__()
@@ -51,24 +51,29 @@ def _maker(setup: WorkerSetup) -> Maker:
     return Maker(setup.config, setup.renderer, setup.root, library, backend, setup.threads)
 
 
-def run_scene(setup: WorkerSetup, index: int) -> dict[str, str]:
-    """Make one scene in this worker; what it prints goes to the scene's log, which stays only on failure.
+@dataclass(frozen=True)
+class WorkerReport:
+    """What a worker tells of a scene: seconds a stage, and the broken assets it has met so far (id → reason)."""
 
-    Returns the broken assets that this worker has met so far: id → reason.
-    """
+    seconds: dict[str, float]
+    broken: dict[str, str]
+
+
+def run_scene(setup: WorkerSetup, index: int) -> WorkerReport:
+    """Make one scene in this worker; what it prints goes to the scene's log, which stays only on failure."""
     path = log_path(setup.root, index)
     path.parent.mkdir(parents=True, exist_ok=True)
     with _output_to(path):
         try:
             maker = _maker(setup)
-            make_scene(maker, index)
+            made = make_scene(maker, index)
         except UserError:
             raise
         except BaseException:
             traceback.print_exc()
             raise
     path.unlink(missing_ok=True)
-    return maker.library.broken
+    return WorkerReport(made.seconds, maker.library.broken)
 
 
 def _die_with(parent: int) -> None:

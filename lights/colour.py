@@ -8,6 +8,7 @@ from functools import lru_cache
 from types import ModuleType
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lights.radiometry import rgb_from_scalar
 from lights.tonemap import srgb_decode
@@ -15,6 +16,9 @@ from scenes.frozen import Rgb
 
 COLDEST, HOTTEST = 1000.0, 25000.0
 """Range of colour temperatures in K: below, Rec.709 shows red only; above, the CIE daylight formula ends."""
+
+EMBERS = 1800.0
+"""The reddest light [K] that `temperature_of` still calls white."""
 
 PLANCKIAN_BELOW, DAYLIGHT_ABOVE = 4000.0, 5000.0
 """Between these temperatures in K the chromaticity runs smoothly from the blackbody's to daylight's."""
@@ -64,6 +68,26 @@ def temperature_to_rgb(kelvin: float) -> Rgb:
     return rgb_from_scalar(1.0, (red, green, blue))
 
 
+def temperature_of(colour: Rgb) -> tuple[float, float]:
+    """Return the correlated colour temperature [K] of a linear Rec.709 colour, and how far it is from white light.
+
+    The temperature is that of the nearest white of `temperature_to_xy` in CIE 1960 uv (the CIE's definition, with
+    daylight as the hot end), held to 1800..25000 K: below candle-light, red counts as a colour. The distance from it
+    is in CIE 1976 u'v'.
+    """
+    matrix = _colour().RGB_COLOURSPACES["ITU-R BT.709"].matrix_RGB_to_XYZ
+    x, y, z = (float(value) for value in matrix @ np.array(colour))
+    own = np.array([4 * x, 6 * y]) / (x + 15 * y + 3 * z)
+    mired, locus = _locus()
+    # The foot of the perpendicular on each stretch of the polyline.
+    start, step = locus[:-1], np.diff(locus, axis=0)
+    along = np.clip(((own - start) * step).sum(axis=1) / (step**2).sum(axis=1), 0.0, 1.0)
+    foot = start + along[:, None] * step
+    nearest = int(np.argmin(np.linalg.norm(own - foot, axis=1)))
+    temperature = 1e6 / float(mired[nearest] + along[nearest] * (mired[nearest + 1] - mired[nearest]))
+    return temperature, float(np.linalg.norm((own - foot[nearest]) * [1.0, 1.5]))
+
+
 def gel_rgb(name: str, density: float = 1.0) -> Rgb:
     """Return the linear Rec.709 RGB of unit luminance of a gel under white light.
 
@@ -98,6 +122,14 @@ def _temperature_to_xy(kelvin: float) -> tuple[float, float]:
     if weight > 0.0:
         xy += weight * colour.temperature.CCT_to_xy_CIE_D(kelvin)
     return float(xy[0]), float(xy[1])
+
+
+@lru_cache(maxsize=1)
+def _locus() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return reciprocal temperatures (N,) [1/MK] in even steps and the CIE 1960 uv of their white light, (N, 2)."""
+    mired = np.linspace(1e6 / HOTTEST, 1e6 / EMBERS, 49)
+    xy = np.array([temperature_to_xy(min(float(1e6 / m), HOTTEST)) for m in mired])
+    return mired, np.stack([4 * xy[:, 0], 6 * xy[:, 1]], axis=1) / (12 * xy[:, 1:] - 2 * xy[:, :1] + 3)
 
 
 @lru_cache(maxsize=1)

@@ -1,12 +1,13 @@
 """The still life as lights see it: where it is, what blocks the way, and how much light reaches the table."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
-from lights.radiometry import irradiance_from_intensity
 from lights.spec import AreaLight, EmissiveLight, EnvironmentLight, Light, PointLight, SpotLight, SunLight
 from lights.tonemap import luminance
 from scenes.assets.environments import read_environment
@@ -20,6 +21,8 @@ GLOW_DISTANCE = 0.2
 """Where the glow of an emissive body is measured: on the table, this far [m] from its middle."""
 
 Float64 = NDArray[np.float64]
+Meter = Callable[[Float64], Float64]
+"""Weighs light by the cosine of its direction to the vertical."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +57,11 @@ class StillLife:
         """Rays through every body of the scene."""
         return SceneRays(self.scene.bodies, self.library)
 
+    @cached_property
+    def fixed_rays(self) -> SceneRays:
+        """Rays through every body but the objects."""
+        return SceneRays([body for body in self.scene.bodies if body.role != "object"], self.library)
+
     @property
     def aim(self) -> Float64:
         """Where lamps point: above the foot, at a third of the greatest height, (3,)."""
@@ -85,34 +93,56 @@ class StillLife:
         The objects' own shadows are left out; walls count for the environment. For emissive bodies it is the
         mean over a circle of `GLOW_DISTANCE` about the body, on the surface.
         """
+        return self._metered(light, _plate)
+
+    def dome_irradiance(self, light: Light) -> float:
+        """Return what a photographer's dome meter reads at `foot`, in the unit of `table_irradiance`.
+
+        It weighs light from an angle to the vertical by (1 + cos) / 2 (a cardioid, as incident-light meters have),
+        so that a low sun counts for the upright surfaces that it lights.
+        """
+        return self._metered(light, _dome)
+
+    def _metered(self, light: Light, meter: Meter) -> float:
         match light:
             case EnvironmentLight():
-                return self._sky_irradiance(light)
+                return self._sky_irradiance(light, meter)
             case SunLight():
                 direction = np.array(light.direction)
-                return _grey(light.irradiance) * max(0.0, -float(direction[2]) / float(np.linalg.norm(direction)))
+                return _grey(light.irradiance) * float(meter(-direction[2] / np.linalg.norm(direction)))
             case PointLight() | SpotLight():
                 way = np.array(light.position) - self.foot
                 distance = float(np.linalg.norm(way))
-                return irradiance_from_intensity(_grey(light.intensity), distance, float(way[2]) / distance)
+                intensity = _grey(light.intensity) * self._share_towards(light, -way / distance)
+                return intensity * float(meter(way[2] / distance)) / distance**2
             case AreaLight():
-                return self._area_irradiance(light)
+                return self._area_irradiance(light, meter)
             case EmissiveLight():
                 return self._glow_irradiance(light)
 
-    def _sky_irradiance(self, light: EnvironmentLight) -> float:
+    def _share_towards(self, light: PointLight | SpotLight, leaving: Float64) -> float:
+        """Return the share of its greatest intensity that a lamp has in a direction; a gobo counts with its mean."""
+        way = np.array(light.direction)
+        angle = float(np.arccos(np.clip(leaving @ way / np.linalg.norm(way), -1.0, 1.0)))
+        if isinstance(light, PointLight):
+            return 1.0 if light.profile is None else profile_at(light.profile, angle)
+        mean = 1.0 if light.gobo is None else image_mean(self.library, light.gobo)
+        edge = np.cos(light.half_angle)
+        t = np.clip((np.cos(angle) - edge) / max((1.0 - edge) * light.blend, 1e-9), 0.0, 1.0)
+        return mean * float(t * t * (3.0 - 2.0 * t))
+
+    def _sky_irradiance(self, light: EnvironmentLight, meter: Meter) -> float:
         """Sum radiance times cosine over the directions in which nothing but objects stands."""
         sky = np.ones((SKY_ROWS, 2 * SKY_ROWS, 3)) if light.map is None else small_map(self.library, light.map)
         directions, solid_angle = map_directions(light.rotation)
-        weight = np.maximum(directions[..., 2], 0.0) * solid_angle[:, None]
-        fixed = [body for body in self.scene.bodies if body.role != "object"]
+        weight = meter(directions[..., 2]) * solid_angle[:, None]
         flat = directions.reshape(-1, 3)
         origin = np.broadcast_to(self.foot + np.array([0.0, 0.0, 0.01]), flat.shape)
-        hit, _ = SceneRays(fixed, self.library).first_hit(origin, flat)
+        hit, _ = self.fixed_rays.first_hit(origin, flat)
         open_sky = (hit < 0).reshape(weight.shape)
         return float((luminance(sky * np.array(light.radiance)) * weight * open_sky).sum())
 
-    def _area_irradiance(self, light: AreaLight) -> float:
+    def _area_irradiance(self, light: AreaLight, meter: Meter) -> float:
         """Treat the lamp as 8 x 8 small ones (ellipses: those inside)."""
         pose = np.array(light.world_from_light)
         grid = (np.arange(8) + 0.5) / 8 - 0.5
@@ -122,13 +152,13 @@ class StillLife:
         way = self.foot - (flat @ pose[:3, :3].T + pose[:3, 3])
         distance = np.linalg.norm(way, axis=1)
         emitted = np.maximum(way @ -pose[:3, 2] / distance, 0.0)
-        received = np.maximum(-way[:, 2] / distance, 0.0)
+        received = meter(-way[:, 2] / distance)
         area = light.width * light.height * (np.pi / 4 if light.shape == "disk" else 1.0)
         return float(_grey(light.radiance) * area * (emitted * received / distance**2).mean())
 
     def _glow_irradiance(self, light: EmissiveLight) -> float:
         """Sum over the triangles of the glowing part, as if nothing stood in between."""
-        a, b, c = np.moveaxis(self._glowing_triangles(light), 1, 0)
+        a, b, c = np.moveaxis(self.glowing_triangles(light), 1, 0)
         centre = (a + b + c) / 3
         normal = np.cross(b - a, c - a) / 2
         angle = np.linspace(0.0, 2 * np.pi, 8, endpoint=False)
@@ -140,7 +170,7 @@ class StillLife:
         received = np.maximum(-way[..., 2], 0.0) / distance
         return float(_grey(light.radiance) * (emitted * received / distance**2).sum(axis=1).mean())
 
-    def _glowing_triangles(self, light: EmissiveLight) -> Float64:
+    def glowing_triangles(self, light: EmissiveLight) -> Float64:
         """Return the triangles (F, 3, 3) of the part that glows, in the world."""
         body = self.scene.body(light.body)
         vertices, faces = body_triangles(body, self.library)
@@ -172,6 +202,25 @@ def map_directions(rotation: float) -> tuple[Float64, Float64]:
     height = np.broadcast_to(np.sin(latitude)[:, None, None], (*flat.shape[:2], 1))
     solid_angle = (np.sin(edges[:-1]) - np.sin(edges[1:])) * np.pi / SKY_ROWS
     return np.concatenate([flat, height], axis=-1), solid_angle
+
+
+def profile_at(profile: tuple[float, ...], angle: float) -> float:
+    """Return a point light's relative intensity at an angle [rad] from its direction."""
+    return float(np.interp(angle, np.linspace(0.0, np.pi, len(profile)), profile))
+
+
+def image_mean(library: AssetLibrary, image: str) -> float:
+    """Return the mean of a gobo's linear transmission."""
+    with Image.open(library.texture_path(image)) as picture:
+        return float(np.asarray(picture.convert("L"), np.float64).mean() / 255.0)
+
+
+def _plate(cosine: Float64) -> Float64:
+    return np.maximum(cosine, 0.0)
+
+
+def _dome(cosine: Float64) -> Float64:
+    return (1.0 + cosine) / 2.0
 
 
 def _grey(colour: tuple[float, float, float]) -> float:

@@ -68,6 +68,32 @@ def camera_from_lens(c2w: ArrayLike, *, width: int, height: int, focal_length_mm
     return camera_from_fov(c2w, width=width, height=height, fov=fov)
 
 
+def focal_length_mm(camera: Camera) -> float:
+    """Return the full-frame equivalent focal length [mm]: the undoing of `camera_from_lens`."""
+    return SENSOR_MM * camera.fx / max(camera.width, camera.height)
+
+
+def with_depth_of_field(camera: Camera, *, f_number: float, focus_distance: float) -> Camera:
+    """Open the lens: aperture as on a full-frame camera, focused on the plane at `focus_distance` [m].
+
+    The f-number is the focal length over the aperture's diameter, so the radius is focal length / (2 N).
+    """
+    if not (f_number > 0 and focus_distance > 0):
+        raise ValueError(f"f-number {f_number} and focus distance {focus_distance} m must be above 0")
+    radius = focal_length_mm(camera) / 1000.0 / (2.0 * f_number)
+    return camera.model_copy(update={"aperture_radius": radius, "focus_distance": focus_distance})
+
+
+def circle_of_confusion(camera: Camera, z_depth: ArrayLike) -> Float64:
+    """Return the diameter [pixels, along x] of the disc that a point at `z_depth` [m] becomes; 0 for a pinhole.
+
+    Similar triangles: the cone from the lens through a point at z cuts the plane of focus at z_f in a disc of
+    diameter 2 r |z_f - z| / z, which the pinhole sees as 2 r fx |1/z - 1/z_f| pixels.
+    """
+    depth = np.asarray(z_depth, np.float64)
+    return np.asarray(2.0 * camera.aperture_radius * camera.fx * np.abs(1.0 / depth - 1.0 / camera.focus_distance))
+
+
 def opencv_from_opengl(c2w: ArrayLike) -> Float64:
     """Convert a camera-to-world pose from OpenGL axes (+Y up, looks along -Z) to OpenCV's (+Y down, along +Z).
 

@@ -19,6 +19,8 @@ TALL, SMALL = 0.17, 0.12
 """A scene holds an object at least `TALL` [m] high and one whose longest side is at most `SMALL` [m]."""
 CROWDING = 0.35
 """Share of the free surface that the objects' footprints may take."""
+UNLIT = 0.2
+"""Share of the scenes that may hold lamps and displays beside the one that glows: mostly switched off."""
 
 Size = tuple[float, float, float]
 
@@ -52,6 +54,8 @@ def choose_objects(
     """
     pool = [info for info in library.list("object") if info.size and SMALLEST <= max(info.size) <= LARGEST]
     lamps = [info for info in pool if info.emissive_part is not None]
+    if rng.random() >= UNLIT:
+        pool = [info for info in pool if info.emissive_part is None]
     chosen: list[Standing] = []
     budget = CROWDING * area
     glowing: int | None = None
@@ -65,7 +69,7 @@ def choose_objects(
         if not wanted:
             raise PlacementError(f"found {len(chosen)} of {count} objects that fit {area:.2f} m²; install more")
         info = _draw(rng, wanted)
-        pool.remove(info)
+        pool = [other for other in pool if other is not info]
         lamps = [lamp for lamp in lamps if lamp is not info]
         standing = _stand(rng, library, info)
         if standing is None:

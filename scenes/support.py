@@ -92,7 +92,7 @@ def find_support(mesh: Mesh, *, cell: float = 0.01, smallest: float = 0.4) -> Su
             region = labels == 1 + int(np.argmax(sizes))
             if best is None or region.sum() > best.sum():
                 best = region
-    side = 0.0 if best is None else _largest_square(best) * cell
+    side = 0.0 if best is None else largest_square(best) * cell
     if best is None or side < smallest:
         raise SupportError(f"largest free square is {side:.2f} m, need at least {smallest:.2f} m")
     return SupportSurface(
@@ -138,7 +138,7 @@ def _levels(heights: Float64) -> list[float]:
     return [float(np.median(heights[np.abs(heights - level) <= 0.001])) for level in commonest]
 
 
-def _largest_square(region: NDArray[np.bool_]) -> int:
+def largest_square(region: NDArray[np.bool_]) -> int:
     """Return the side, in cells, of the largest square inside a region (bisection over a summed-area table)."""
     total = np.pad(region.astype(np.int64).cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
     fits, too_large = 0, min(region.shape) + 1

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.assets.library import AssetLibrary
-from scenes.backdrop import SWEEP_DEPTH, SWEEP_ID
+from scenes.backdrop import STUDIO, SWEEP_ID
 from scenes.cameras import matrix4
 from scenes.materials import linear_from_hex, painted_wall, pick_texture, textured
 from scenes.spec import Body, Material, MeshAsset, Rectangle
@@ -65,7 +65,7 @@ def upright(position: tuple[float, float, float], inward: tuple[float, float]) -
     return pose
 
 
-def _plane(name: str, size: tuple[float, float], material: Material, pose: Float64) -> Body:
+def plane(name: str, size: tuple[float, float], material: Material, pose: Float64) -> Body:
     """Make a rectangular body of the surrounding."""
     return Body(
         name=name,
@@ -88,7 +88,7 @@ def _floor(rng: np.random.Generator, library: AssetLibrary, place: str, *, size:
     pose = np.eye(4)
     if rng.random() < 0.5:
         pose[:2, :2] = [[0.0, -1.0], [1.0, 0.0]]
-    return _plane("floor", (size, size), material, pose)
+    return plane("floor", (size, size), material, pose)
 
 
 def _wall_material(rng: np.random.Generator, library: AssetLibrary) -> Material:
@@ -118,14 +118,14 @@ def _corner(rng: np.random.Generator, library: AssetLibrary, table: Float64) -> 
         plan.append(("far", (-side * far, back - deep / 2), (side, 0.0), deep, beside))
     thickness, board_height = rng.uniform(0.01, 0.02), rng.uniform(0.06, 0.13)
     for name, (x, y), inward, length, material in plan:
-        bodies.append(_plane(f"wall_{name}", (length, height), material, upright((x, y, height / 2), inward)))
+        bodies.append(plane(f"wall_{name}", (length, height), material, upright((x, y, height / 2), inward)))
         face = (x + inward[0] * thickness, y + inward[1] * thickness)
         pose = upright((*face, board_height / 2), inward)
-        bodies.append(_plane(f"skirting_{name}", (length, board_height), board, pose))
+        bodies.append(plane(f"skirting_{name}", (length, board_height), board, pose))
         ledge = np.eye(4)
         ledge[:3, 0], ledge[:3, 1] = pose[:3, 0], -pose[:3, 2]
         ledge[:3, 3] = [x + inward[0] * thickness / 2, y + inward[1] * thickness / 2, board_height]
-        bodies.append(_plane(f"skirting_{name}_top", (length, thickness), board, ledge))
+        bodies.append(plane(f"skirting_{name}_top", (length, thickness), board, ledge))
     front = -np.pi / 2 - side * (0.15 if three else rng.uniform(0.25, 0.6))
     return Surrounding("corner", tuple(bodies), front=float(front), opening=0.9 if three else 1.1)
 
@@ -142,7 +142,7 @@ def _backdrop(rng: np.random.Generator, library: AssetLibrary, table: Float64) -
     scale = float(rng.uniform(0.9, 1.3))
     pose = np.eye(4) * scale
     behind = float(table[1, 1]) + scale * rng.uniform(0.9, 1.4)
-    pose[:, 3] = [0.0, behind - scale * SWEEP_DEPTH / 2, 0.002, 1.0]
+    pose[:, 3] = [0.0, behind - scale * STUDIO.depth / 2, 0.002, 1.0]
     mesh = library.mesh(SWEEP_ID)
     sweep = Body(
         name="backdrop",
@@ -153,5 +153,5 @@ def _backdrop(rng: np.random.Generator, library: AssetLibrary, table: Float64) -
         world_from_body=matrix4(pose),
     )
     floor = Material(name="concrete", base_color=linear_from_hex("77736c"), roughness=float(rng.uniform(0.4, 0.8)))
-    ground = _plane("floor", (60.0, 60.0), floor, np.eye(4))
+    ground = plane("floor", (60.0, 60.0), floor, np.eye(4))
     return Surrounding("backdrop", (ground, sweep), front=-np.pi / 2, opening=0.75)

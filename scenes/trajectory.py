@@ -1,4 +1,4 @@
-"""Cameras on a smooth arc, from the whole table to the still life that fills the frame."""
+"""Cameras that show a still life, on a path of one of four kinds, clear of everything."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,7 +9,8 @@ from trimesh.collision import CollisionManager
 from trimesh.creation import box
 from trimesh.triangles import closest_point
 
-from scenes.cameras import camera_from_lens, look_at, project
+from scenes.cameras import project, with_depth_of_field
+from scenes.paths import DEFAULT_CAMERAS, CameraSettings, Framing, TrajectoryKind, camera_on, draw_path
 from scenes.rays import SceneRays
 from scenes.spec import Camera
 
@@ -19,8 +20,10 @@ MARGIN = 0.015
 """Share of the image's sides that an object in frame keeps clear of its edges."""
 SEEN = 0.3
 """An object counts as visible where this share of its points in view is not hidden by others."""
-VIEWS_SEEN = 0.6
-"""Share of the views in which each insertable object must be whole and visible."""
+TRIES = 12
+"""Paths that are drawn before a scene is given up."""
+CANDIDATES = 8
+"""Cameras that are drawn for one view of a `random` trajectory."""
 
 _POINT = box((1e-4, 1e-4, 1e-4))
 
@@ -28,7 +31,7 @@ Float64 = NDArray[np.float64]
 
 
 class TrajectoryError(RuntimeError):
-    """No arc shows the objects well enough."""
+    """No path shows the objects well enough."""
 
 
 @dataclass(frozen=True)
@@ -51,49 +54,51 @@ class Subject:
     opening: float
 
 
-@dataclass(frozen=True)
-class _Arc:
-    """Ends of the arc, (from, to) each: azimuth, elevation [rad], focal length [mm], and radius framed [m]."""
-
-    azimuth: tuple[float, float]
-    elevation: tuple[float, float]
-    focal: tuple[float, float]
-    framed: tuple[float, float]
-
-
 def sample_trajectory(
-    rng: np.random.Generator, subject: Subject, *, width: int, height: int, views: int, tries: int = 12
+    rng: np.random.Generator,
+    subject: Subject,
+    *,
+    width: int,
+    height: int,
+    views: int,
+    kind: TrajectoryKind = "approach",
+    settings: CameraSettings = DEFAULT_CAMERAS,
 ) -> tuple[Camera, ...]:
-    """Draw cameras in which each insertable object is whole and visible in most views.
+    """Draw cameras in which each insertable object is whole and visible in `settings.min_visible_share` of the views.
 
-    None stands inside or within `CLEARANCE` of anything, behind a wall, or below the table's top. Raises
-    `TrajectoryError` after `tries` arcs.
+    None stands inside or within `CLEARANCE` of anything, behind a wall, or below the table's top. Draw `kind` with
+    `scenes.paths.choose_trajectory`, once a scene, so that refusals shift no share. Raises `TrajectoryError` after
+    `TRIES` paths.
     """
-    for attempt in range(tries):
-        # Later tries narrow the sweep, so that a tight room still finds an arc.
-        arc = _sample_arc(rng, subject, narrow=0.93**attempt)
-        cameras = _cameras(rng, arc, subject, (width, height), views)
-        if all(_is_free(camera, subject) for camera in cameras) and _shows(cameras, subject):
-            return cameras
-    raise TrajectoryError(f"none of {tries} camera arcs is free and shows every insertable object")
+    size = (width, height)
+    for attempt in range(TRIES):
+        # Later tries narrow the sweep and the lens, so that a tight room still finds a path.
+        framing = _framing(rng, subject, narrow=0.93**attempt)
+        if kind == "random":
+            cameras = _scattered(rng, subject, framing, size, views, settings)
+        else:
+            path = draw_path(rng, kind, framing, views=views, lens_mm=settings.lens_mm)
+            cameras = tuple(camera_on(path, view, _aims(subject), size) for view in range(views))
+        free = len(cameras) == views and all(_is_free(camera, subject) for camera in cameras)
+        if free and _shows(cameras, subject, settings.min_visible_share):
+            return _focused(rng, cameras, subject, settings)
+    raise TrajectoryError(f"none of {TRIES} {kind} paths is free and shows every insertable object")
 
 
-def _sample_arc(rng: np.random.Generator, subject: Subject, *, narrow: float) -> _Arc:
-    """Draw the ends of an arc."""
-    widest = min(np.radians(120.0), 2.0 * subject.opening)
-    sweep = max(np.radians(50.0), narrow * rng.uniform(np.radians(50.0), widest))
-    slack = max(0.0, subject.opening - sweep / 2)
-    middle = subject.front + (rng.uniform(-slack, slack) if slack < np.pi / 2 else rng.uniform(-np.pi, np.pi))
-    side = float(rng.choice([-1.0, 1.0]))
-    group_radius = float(np.linalg.norm(subject.group - _middle(subject.group), axis=1).max())
-    table_radius = float(np.linalg.norm(subject.table - subject.table.mean(axis=0), axis=1).max())
-    close = group_radius * rng.uniform(0.92, 1.12)
-    return _Arc(
-        azimuth=(middle - side * sweep / 2, middle + side * sweep / 2),
-        elevation=(np.radians(rng.uniform(20.0, 42.0)), np.radians(rng.uniform(16.0, 48.0))),
-        focal=(rng.uniform(24.0, 40.0), rng.uniform(38.0, 70.0)),
-        framed=(float(np.clip(table_radius * rng.uniform(0.8, 1.0), 1.6 * close, 3.0 * close)), close),
-    )
+def _framing(rng: np.random.Generator, subject: Subject, *, narrow: float) -> Framing:
+    """Measure the still life and the table, and draw how tightly they are framed."""
+    group = float(np.linalg.norm(subject.group - _middle(subject.group), axis=1).max())
+    table = float(np.linalg.norm(subject.table - subject.table.mean(axis=0), axis=1).max())
+    close = group * rng.uniform(0.92, 1.12)
+    distant = float(np.clip(table * rng.uniform(0.8, 1.0), 1.6 * close, 3.0 * close))
+    return Framing(close=close, distant=distant, front=subject.front, opening=subject.opening, narrow=narrow)
+
+
+def _aims(subject: Subject) -> tuple[Float64, Float64]:
+    """Return what a distant camera looks at, and what a close one does: points (3,)."""
+    distant = 0.5 * _middle(subject.group) + 0.5 * subject.table.mean(axis=0)
+    watched = _middle(np.concatenate(list(subject.watched.values())))
+    return distant, 0.6 * _middle(subject.group) + 0.4 * watched
 
 
 def _middle(points: Float64) -> Float64:
@@ -101,30 +106,42 @@ def _middle(points: Float64) -> Float64:
     return np.asarray((points.min(axis=0) + points.max(axis=0)) / 2)
 
 
-def _cameras(
-    rng: np.random.Generator, arc: _Arc, subject: Subject, size: tuple[int, int], views: int
+def _scattered(
+    rng: np.random.Generator,
+    subject: Subject,
+    framing: Framing,
+    size: tuple[int, int],
+    views: int,
+    settings: CameraSettings,
 ) -> tuple[Camera, ...]:
-    """Place the cameras along an arc, with the slight unrest of a hand."""
-    step = np.linspace(0.0, 1.0, views) if views > 1 else np.array([0.6])
-    # Azimuth runs evenly; the approach starts gently and ends gently.
-    ease = 0.5 * step + 0.5 * step**2 * (3 - 2 * step)
-    far_aim = 0.5 * _middle(subject.group) + 0.5 * subject.table.mean(axis=0)
-    near_aim = 0.6 * _middle(subject.group) + 0.4 * _middle(np.concatenate(list(subject.watched.values())))
-    cameras = []
-    for t, e in zip(step, ease, strict=True):
-        shake = rng.normal(0.0, 1.0, 7)
-        azimuth = np.interp(t, [0, 1], arc.azimuth) + 0.012 * shake[0]
-        elevation = float(np.clip(np.interp(e, [0, 1], arc.elevation) + 0.012 * shake[1], 0.262, 0.873))
-        focal = float(np.exp(np.interp(e, [0, 1], np.log(arc.focal))))
-        framed = float(np.exp(np.interp(e, [0, 1], np.log(arc.framed))))
-        half = np.arctan(36.0 / (2.0 * focal) * min(size) / max(size))
-        distance = framed / np.sin(half) * (1.0 + 0.015 * shake[2])
-        aim = (1 - e) * far_aim + e * near_aim + 0.02 * framed * shake[3:6]
-        way = [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
-        up = (-np.sin(azimuth) * 0.01 * shake[6], np.cos(azimuth) * 0.01 * shake[6], 1.0)
-        pose = look_at(aim + distance * np.array(way), aim, up=up)
-        cameras.append(camera_from_lens(pose, width=size[0], height=size[1], focal_length_mm=focal))
-    return tuple(cameras)
+    """Draw views one by one: the first candidate that shows everything, else the first that stands free."""
+    chosen: list[Camera] = []
+    for _ in range(views):
+        path = draw_path(rng, "random", framing, views=CANDIDATES, lens_mm=settings.lens_mm)
+        candidates = (camera_on(path, number, _aims(subject), size) for number in range(CANDIDATES))
+        free = [camera for camera in candidates if _is_free(camera, subject)]
+        good = (camera for camera in free if _shows((camera,), subject, 1.0))
+        if not free:
+            break
+        chosen.append(next(good, free[0]))
+    return tuple(chosen)
+
+
+def _focused(
+    rng: np.random.Generator, cameras: tuple[Camera, ...], subject: Subject, settings: CameraSettings
+) -> tuple[Camera, ...]:
+    """Open the lens in the stated share of scenes, focused on one insertable object throughout."""
+    if rng.random() >= settings.depth_of_field:
+        return cameras
+    watched = sorted(subject.watched)
+    middle = _middle(subject.watched[watched[int(rng.integers(len(watched)))]])
+    f_number = float(np.exp(rng.uniform(*np.log(settings.f_number))))
+    depths = [float(project(camera, middle[None])[1][0]) for camera in cameras]
+    # An object behind the camera cannot be in focus: such a view looks into the distance.
+    return tuple(
+        with_depth_of_field(camera, f_number=f_number, focus_distance=depth if depth > 0 else 10.0)
+        for camera, depth in zip(cameras, depths, strict=True)
+    )
 
 
 def _is_free(camera: Camera, subject: Subject) -> bool:
@@ -144,11 +161,11 @@ def _is_free(camera: Camera, subject: Subject) -> bool:
     return bool(subject.solids.min_distance_single(_POINT, pose) >= CLEARANCE)
 
 
-def _shows(cameras: Sequence[Camera], subject: Subject) -> bool:
-    """Tell whether every insertable object is whole and visible in enough views."""
+def _shows(cameras: Sequence[Camera], subject: Subject, share: float) -> bool:
+    """Tell whether every insertable object is whole and visible in that share of the views."""
     for body, points in subject.watched.items():
         good = sum(in_frame(camera, points) and _is_seen(camera, subject.rays, body, points) for camera in cameras)
-        if good < VIEWS_SEEN * len(cameras):
+        if good < share * len(cameras):
             return False
     return True
 

@@ -36,7 +36,7 @@ SURFACES: dict[str, Material] = {
     "textured": Material(base_color_texture=Texture(image="builtin/wood-ash", repeat=(2.0, 1.0)), roughness=0.5),
     "bumped": Material(base_color=(0.6, 0.6, 0.6), roughness=0.4,
                        normal_texture=Texture(image="builtin/weave-basket-normal", repeat=(2.0, 1.0))),
-    "see_through": Material(base_color=(0.7, 0.2, 0.2), roughness=0.5, opacity=0.4),
+    "see_through": Material(base_color=(0.7, 0.2, 0.2), roughness=0.5, opacity=0.6),
 }  # fmt: skip
 
 SKY = EnvironmentLight(name="sky", map="builtin/hdri-courtyard", rotation=0.6)

@@ -8,9 +8,13 @@ from pathlib import Path
 
 import pytest
 
+from datagen.backends.variants import choose_variant, prepare_environment
 from datagen.cli import main
 from datagen.records import SceneRecord
 from datagen.store import ViewData, read_scene, read_view, scene_dir
+
+# Before any test imports Dr.Jit, which takes the first libLLVM it finds.
+prepare_environment(choose_variant())
 
 SPHERES = [
     "--renderer",

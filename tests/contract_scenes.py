@@ -5,6 +5,7 @@ Colours differ in every channel, so that a swapped channel shows.
 
 import math
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from scipy import ndimage
@@ -21,6 +22,7 @@ from lights.spec import (
     SunLight,
 )
 from scenes.cameras import camera_from_fov, look_at, matrix4, pixel_rays
+from scenes.gobos import make_gobo
 from scenes.spec import Body, Camera, Material, Rectangle, SceneSpec, Sphere
 
 SIZE = 48
@@ -127,16 +129,46 @@ BULB_ABOVE = body("bulb", Sphere(radius=0.2), placed(1.8, 0.0, 1.2), (0.0, 0.0, 
 AREA = AreaLight(
     name="panel", width=0.8, height=0.3, world_from_light=matrix4(placed(0.2, 0.1, 2.5)), radiance=tint(3.0)
 )
+# A lopsided distribution, dark straight ahead and straight back, so that a flipped or shifted axis shows.
+PROFILE = tuple(math.sin(math.pi * (i / 36) ** 0.6) for i in range(37))
+SHAPED = POINT.model_copy(update={"direction": (0.1, 0.2, -1.0), "profile": PROFILE})
+GOBO = SPOT.model_copy(update={"gobo": "builtin/gobo-foliage-large", "roll": 0.5, "blend": 0.0, "half_angle": 0.5})
 CLOSED_FORMS: dict[str, tuple[Light, tuple[Body, ...]]] = {
     "environment": (SKY, ()),
     "sun": (SUN, ()),
     "point": (POINT, ()),
     "spot": (SPOT, ()),
     "hard_spot": (SPOT.model_copy(update={"blend": 0.0}), ()),
+    "profile": (SHAPED, ()),
+    "profile_aside": (SHAPED.model_copy(update={"direction": (-1.0, 2.0, 0.3)}), ()),
+    "profile_up": (SHAPED.model_copy(update={"direction": (0.0, 0.0, 1.0)}), ()),
+    "gobo": (GOBO, ()),
     "emissive": (GLOW, (BULB_ABOVE,)),
     "area": (AREA, ()),
     "disk": (AREA.model_copy(update={"shape": "disk"}), ()),
 }
+
+
+def gobo_transmission(light: SpotLight, points: np.ndarray) -> np.ndarray:
+    """What a built-in gobo lets through towards points of the ground, averaged over each overhead pixel.
+
+    Written out for itself: right, up and the image's rows from the spec's words alone.
+    """
+    image = np.pad(make_gobo(light.gobo.removeprefix("builtin/")) / 255, 1, mode="edge")
+    axis = np.array(light.direction) / math.hypot(*light.direction)
+    level = np.cross(axis, (0, 0, 1.0)) / np.linalg.norm(np.cross(axis, (0, 0, 1.0)))
+    steep = np.cross(level, axis)
+    right = math.cos(light.roll) * level + math.sin(light.roll) * steep
+    up = math.cos(light.roll) * steep - math.sin(light.roll) * level
+    total, size = np.zeros(points.shape[:2]), len(image) - 2
+    step = np.linalg.norm(points[0, 1] - points[0, 0]) / 4
+    for dx, dy in product((-1.5, -0.5, 0.5, 1.5), repeat=2):
+        way = points + np.array([dx * step, dy * step, 0]) - np.array(light.position)
+        reach = (way @ axis) * math.tan(light.half_angle)
+        column = (1 + way @ right / reach) / 2 * size + 0.5
+        row = (1 - way @ up / reach) / 2 * size + 0.5
+        total += ndimage.map_coordinates(image, [row, column], order=1, mode="nearest")
+    return total / 16
 
 
 def irradiance(light: Light, points: np.ndarray) -> np.ndarray:
@@ -157,6 +189,10 @@ def irradiance(light: Light, points: np.ndarray) -> np.ndarray:
                 x = (-(offset @ axis) / distance - edge) / max((1 - edge) * light.blend, 1e-9)
                 x = np.clip(x, 0, 1)
                 strength = strength * x * x * (3 - 2 * x)
+                strength = strength * (1.0 if light.gobo is None else gobo_transmission(light, points))
+            elif light.profile is not None:
+                angle = np.arccos(-offset @ np.array(light.direction) / math.hypot(*light.direction) / distance)
+                strength = strength * np.interp(angle, np.linspace(0, math.pi, len(light.profile)), light.profile)
             return strength[..., None] * np.array(light.intensity)
         case EmissiveLight():
             offset = np.array(BULB_ABOVE.world_from_body)[:3, 3] - points

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,7 @@ from scenes.assets.library import AssetLibrary
 from scenes.frozen import Matrix4
 from scenes.meshes import Mesh, MeshPart
 from scenes.spec import Body, Camera, Material, MeshAsset, Rectangle, SceneSpec, Sphere, Texture
+from tests.calibration_scenes import LIGHTS, SURFACES, calibration_job
 
 # An IOR of 1 switches the Principled BSDF's specular lobe off: what is left is exactly Lambertian.
 WHITE = Material(base_color=(1, 1, 1), ior=1.0)
@@ -204,6 +206,59 @@ def test_the_environment_is_seen_where_the_formula_puts_it(blender: BlenderBacke
     )
     np.testing.assert_allclose(centre(seen.radiance[0]), (100, 50, 25), rtol=0.01)
     assert geometry_of(seen).environment.min() == 1
+
+
+DAY = EnvironmentLight(name="day", radiance=(1, 2, 3))
+DUSK = EnvironmentLight(name="dusk", map="spot", radiance=(9, 9, 9))
+SUN = SunLight(name="sun", direction=(0.3, 0.2, -1), irradiance=(2, 2, 2))
+
+
+def test_several_environments_each_have_their_layer(blender: BlenderBackend) -> None:
+    """Blender holds one world at a time: the second must come out as if it were alone, in every variant."""
+    ball = body("ball", Sphere(radius=0.5), GREY, pose=at(0, 0, 0.5), insertable=True)
+    # The horizon shows above the floor, and the map's bright spot, in the direction -Y, behind the ball.
+    spec = scene((floor(GREY), ball), camera(look((0.2, 4, 0.9), (0, 0, 0.5)), size=48, focal=40))
+    for variant in ("all", "without_ball", "foreground_ball"):
+        together = render(blender, spec, (SUN, DAY, DUSK), variant=variant)
+        alone = [render(blender, spec, (light,), variant=variant).radiance[0] for light in (SUN, DAY, DUSK)]
+        for name, ours, theirs in zip(together.lights, together.radiance, alone, strict=True):
+            assert theirs.mean() > 0, name
+            np.testing.assert_allclose(ours.mean(axis=(0, 1)), theirs.mean(axis=(0, 1)), rtol=0.03, err_msg=name)
+        # The second environment has a render of its own, so it is the same to the last bit.
+        np.testing.assert_array_equal(together.radiance[2], alone[2])
+        np.testing.assert_allclose(together.radiance.sum(axis=0), together.combined, rtol=1e-4, atol=1e-5)
+    swapped = render(blender, spec, (DUSK, SUN, DAY))
+    np.testing.assert_array_equal(swapped.radiance[2], render(blender, spec, (DAY,)).radiance[0])
+
+
+def test_emission_follows_its_texture(blender: BlenderBackend) -> None:
+    card = body("card", Rectangle(width=4, height=4), Material(base_color=(0, 0, 0), ior=1.0), pose=at(0, 0, 0))
+    glow = EmissiveLight(name="glow", body="card", radiance=(2, 4, 8), texture=Texture(image="halves", repeat=(0.5, 1)))
+    stack = render(blender, scene((card,), camera(at(0, 0, 5), size=64, focal=64)), (glow,))
+    # The left half of a repeat is red, its right half green, both of 188/255.
+    level = ((188 / 255 + 0.055) / 1.055) ** 2.4
+    np.testing.assert_allclose(stack.radiance[0, 32, 40], (2 * level, 0, 0), rtol=1e-3)
+    np.testing.assert_allclose(stack.radiance[0, 32, 56], (0, 4 * level, 0), rtol=1e-3)
+
+
+def test_a_gobo_reads_the_right_way_round(blender: BlenderBackend) -> None:
+    """Seen from the lamp, the picture on the wall is the picture: red, on its left, comes out left."""
+    wall = body(
+        "wall", Rectangle(width=9, height=9), WHITE, pose=((1, 0, 0, 0), (0, 0, -1, 0), (0, 1, 0, 0), (0, 0, 0, 1))
+    )
+    lamp = SpotLight(
+        name="a", position=(0, -2, 0), direction=(0, 1, 0), intensity=(1, 1, 1), half_angle=0.4, blend=0, gobo="halves"
+    )
+    view = camera(look((0, -2, 0), (0, 0, 0)), size=32, focal=16 / math.tan(0.4))
+    layer = render(blender, scene((wall,), view), (lamp,)).radiance[0]
+    red, green = layer[16, 8], layer[16, 24]
+    assert red[0] > 0.03
+    assert red[1] < 0.01 * red[0]
+    assert green[1] > 0.03
+    assert green[0] < 0.01 * green[1]
+    upright = render(blender, scene((wall,), view), (lamp.model_copy(update={"roll": math.pi / 2}),)).radiance[0]
+    assert upright[24, 16, 0] > 0.03, "a quarter turn counter-clockwise takes left to the bottom"
+    assert upright[8, 16, 1] > 0.03
 
 
 def weight_ratio(layer: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -445,3 +500,15 @@ def test_nothing_is_printed_and_nothing_left_behind(blender: BlenderBackend, cap
     open_files = len(list(Path("/proc/self/fd").iterdir()))
     render(blender, scene((floor(),), DOWN), (ENV,))
     assert len(list(Path("/proc/self/fd").iterdir())) == open_files
+
+
+def test_all_variants_share_random_numbers_from_the_first_render_on(tmp_path: Path) -> None:
+    """With an environment beside lamps, the first change of visibility once changed every later random choice."""
+    lights = tuple(LIGHTS[name] for name in ("environment", "sun", "point", "rectangle"))
+    job = calibration_job(SURFACES["plastic"], lights, 4)
+    with BlenderBackend(AssetLibrary(cache=tmp_path, packs=("builtin",))) as fresh:
+        first = fresh.render(job)
+        without = fresh.render(replace(job, variant="without_ball"))
+        again = fresh.render(job)
+    np.testing.assert_array_equal(first.radiance, again.radiance)
+    assert np.mean((first.radiance != without.radiance).any(axis=(0, 3))) < 0.6

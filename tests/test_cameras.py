@@ -9,22 +9,31 @@ from hypothesis import strategies as st
 
 from datagen.backends import RenderJob, RenderSettings
 from datagen.backends.analytic import AnalyticBackend
-from lights.spec import EnvironmentLight, LightRig
+from lights.spec import EmissiveLight, EnvironmentLight, LightRig
+from scenes.assets.library import AssetLibrary
 from scenes.cameras import (
     camera_from_fov,
     camera_from_lens,
+    circle_of_confusion,
+    focal_length_mm,
     look_at,
+    matrix4,
     opencv_from_opengl,
     pixel_rays,
     project,
     ray_distance_from_z_depth,
     reprojection_error,
     unproject,
+    with_depth_of_field,
     z_depth_from_ray_distance,
 )
-from scenes.spec import Camera
+from scenes.paths import CameraSettings, Framing, TrajectoryShares, camera_on, choose_trajectory, draw_path
+from scenes.rays import SceneRays, body_triangles, surface_points
+from scenes.spec import Body, Camera, Material, SceneSpec, Sphere
 from scenes.spheres import sample_spheres
 from scenes.streams import Streams
+from scenes.tabletop import TabletopSettings, sample_tabletop
+from scenes.trajectory import SEEN, in_frame
 
 coordinate = st.floats(-5, 5)
 
@@ -163,3 +172,164 @@ def test_depth_of_the_wrong_shape_is_refused():
         unproject(camera, np.ones((8, 4)))
     with pytest.raises(ValueError, match=r"depth_b.*\(8, 4\)"):
         reprojection_error(np.ones((4, 8)), camera, np.ones((8, 4)), camera)
+
+
+KINDS = ("approach", "orbit", "handheld", "random")
+
+
+def only(kind: str) -> TrajectoryShares:
+    return TrajectoryShares(**{name: float(name == kind) for name in KINDS})
+
+
+@pytest.fixture(scope="module")
+def library() -> AssetLibrary:
+    return AssetLibrary(packs=("builtin",))
+
+
+@pytest.fixture(scope="module", params=KINDS)
+def still_lifes(request, library):
+    cameras = CameraSettings(trajectories=only(request.param), depth_of_field=1.0)
+    settings = TabletopSettings(width=96, height=64, views=8, cameras=cameras)
+    scenes = [sample_tabletop(Streams(21, i), library, index=i, settings=settings) for i in range(4)]
+    return request.param, scenes
+
+
+def around(scene: SceneSpec, library: AssetLibrary) -> np.ndarray:
+    """Where the eyes are, seen from the middle of the insertable objects: azimuth [rad] and distance [m]."""
+    bodies = [body for body in scene.bodies if body.insertable]
+    middle = np.mean([body_triangles(body, library)[0].mean(axis=0) for body in bodies], axis=0)
+    away = np.array([camera.pose()[:3, 3] - middle for camera in scene.cameras])
+    return np.stack([np.unwrap(np.arctan2(away[:, 1], away[:, 0])), np.linalg.norm(away, axis=1)])
+
+
+def test_every_insertable_is_seen_in_the_stated_share_of_views(still_lifes, library):
+    _, scenes = still_lifes
+    for scene in scenes:
+        rays = SceneRays(scene.bodies, library)
+        for number, body in enumerate(scene.bodies):
+            if body.insertable:
+                points = surface_points(body, library, np.random.default_rng(0), 300)
+                shares = [rays.visible_share(c.pose()[:3, 3], number, points) for c in scene.cameras]
+                shown = [s >= 0.9 * SEEN and in_frame(c, points) for s, c in zip(shares, scene.cameras, strict=True)]
+                # 64 points stood for the object when it was checked, 300 do here: one view of eight may differ.
+                assert sum(shown) >= 0.7 * len(scene.cameras) - 1, (scene.index, body.name)
+
+
+def test_lenses_stay_in_range_and_objects_keep_their_size(still_lifes, library):
+    _, scenes = still_lifes
+    sizes = []
+    for scene in scenes:
+        points = np.concatenate([body_triangles(b, library)[0] for b in scene.bodies if b.role == "object"])
+        for camera in scene.cameras:
+            assert 23.9 <= focal_length_mm(camera) <= 85.1
+            pixels, depth = project(camera, points)
+            sizes += [np.ptp(pixels, axis=0).max() / 64] if (depth > 0).all() else []
+    assert min(sizes) > 0.15
+    assert np.median(sizes) > 0.45
+    assert max(sizes) < 2.0
+
+
+def test_kinds_move_as_their_name_says(still_lifes, library):
+    kind, scenes = still_lifes
+    for scene in scenes:
+        azimuth, distance = around(scene, library)
+        framed = np.array([d / focal_length_mm(c) for d, c in zip(distance, scene.cameras, strict=True)])
+        turn, steps = np.degrees(np.ptp(azimuth)), np.degrees(np.abs(np.diff(azimuth)))
+        if kind == "approach":
+            assert framed[-1] < 0.75 * framed[0]
+        elif kind == "orbit":
+            assert turn > 25
+            assert framed.max() < 1.5 * framed.min()
+        elif kind == "handheld":
+            assert 0.5 < turn < 40
+            assert framed.max() < 1.5 * framed.min()
+        else:
+            assert np.ptp([focal_length_mm(c) for c in scene.cameras]) > 15
+            assert steps.max() > 15
+
+
+def test_handheld_wobble_is_smooth_and_random_is_not():
+    framing = Framing(close=0.3, distant=0.6, front=0.0, opening=1.0)
+    rng = np.random.default_rng(3)
+    rough = {}
+    for kind in ("handheld", "random"):
+        paths = [draw_path(rng, kind, framing, views=33, lens_mm=(24, 85)) for _ in range(20)]
+        rough[kind] = np.mean([np.abs(np.diff(p.azimuth, 2)).mean() / np.ptp(p.azimuth) for p in paths])
+    assert rough["handheld"] < 0.03
+    assert rough["random"] > 0.2
+
+
+def test_distance_follows_the_lens():
+    framing = Framing(close=0.3, distant=0.6, front=0.0, opening=np.pi)
+    path = draw_path(np.random.default_rng(0), "random", framing, views=6, lens_mm=(24, 85))
+    for view in range(6):
+        camera = camera_on(path, view, (np.zeros(3), np.zeros(3)), (96, 64))
+        aim = path.framed[view] * path.sway[view]
+        eye = camera.pose()[:3, 3]
+        # A sphere of the framed radius about the aim touches the upper edge of the picture.
+        half = math.atan(32 / camera.fy)
+        assert math.asin(path.framed[view] / np.linalg.norm(eye - aim)) == pytest.approx(half)
+
+
+def test_trajectories_come_as_often_as_stated():
+    settings = CameraSettings(trajectories=TrajectoryShares(approach=0.5, orbit=0.3, handheld=0.2, random=0))
+    rng = np.random.default_rng(0)
+    drawn = [choose_trajectory(rng, settings) for _ in range(600)]
+    assert [drawn.count(kind) / 600 for kind in KINDS] == pytest.approx([0.5, 0.3, 0.2, 0.0], abs=0.06)
+
+
+def test_open_lenses_are_focused_on_an_insertable(still_lifes, library):
+    _, scenes = still_lifes
+    for scene in scenes:
+        middles = [np.mean(np.stack([v.min(0), v.max(0)]), axis=0) for v in
+                   (body_triangles(b, library)[0] for b in scene.bodies if b.insertable)]  # fmt: skip
+        for camera in scene.cameras:
+            assert camera.aperture_radius > 0
+            assert 1.79 < focal_length_mm(camera) / 2000 / camera.aperture_radius < 8.01
+            depth = project(camera, middles)[1]
+            assert np.abs(depth - camera.focus_distance).min() < 0.08
+
+
+def test_circle_of_confusion_of_a_known_lens():
+    pinhole = camera_from_lens(np.eye(4), width=3600, height=2400, focal_length_mm=50)
+    camera = with_depth_of_field(pinhole, f_number=2.0, focus_distance=2.0)
+    assert camera.aperture_radius == pytest.approx(0.0125)
+    # 25 mm of aperture, 5000 px of focal length; infinitely far: 0.025 * 5000 / 2.
+    np.testing.assert_allclose(circle_of_confusion(camera, [2.0, 1.0, 4.0, 1e12]), [0, 62.5, 31.25, 62.5], atol=1e-6)
+    assert circle_of_confusion(pinhole, 1.0) == 0
+    with pytest.raises(ValueError, match="above 0"):
+        with_depth_of_field(pinhole, f_number=0, focus_distance=1)
+
+
+def test_cycles_spreads_a_spark_over_the_circle_of_confusion(library):
+    blender = pytest.importorskip("datagen.backends.blender")
+    spark = Body(
+        name="spark",
+        role="object",
+        category="sphere",
+        geometry=Sphere(radius=0.002),
+        materials=(Material(),),
+        world_from_body=matrix4(np.eye(4)),
+        insertable=True,
+    )
+    pose = look_at((0, -2.0, 0), (0, 0, 0))
+    pinhole = camera_from_fov(pose, width=48, height=48, fov=2 * math.atan(24 / 1000))
+    views = (pinhole, pinhole.model_copy(update={"aperture_radius": 0.012, "focus_distance": 1.0}))
+    scene = SceneSpec(kind="custom", index=0, bodies=(spark,), cameras=views)
+    rig = LightRig(lights=(EmissiveLight(name="glow", body="spark", radiance=(5, 5, 5)),))
+    with blender.BlenderBackend(library) as backend:
+        sharp, soft, alone = (
+            backend.render(RenderJob(scene, rig, RenderSettings(spp=256), view, variant))
+            for view, variant in ((0, "all"), (1, "all"), (1, "foreground_spark"))
+        )
+    y, x = np.mgrid[:48, :48] + 0.5 - 24.0
+    weight = soft.radiance[0, ..., 1]
+    spread = float((weight * (x**2 + y**2)).sum() / weight.sum())
+    # Variances add up: the disc of confusion's d² / 8, the spark's own 1 px disc, and the pixel's 1 / 6.
+    diameter = math.sqrt(8 * (spread - 1.0**2 / 2 - 1 / 6))
+    assert diameter == pytest.approx(float(circle_of_confusion(views[1], 2.0)), rel=0.03)
+    assert weight.sum() == pytest.approx(sharp.radiance[0, ..., 1].sum(), rel=0.05)
+    # The object alone is the same disc, none of it cut off; and geometry is that of the pinhole.
+    np.testing.assert_allclose(alone.radiance, soft.radiance, atol=1e-5)
+    np.testing.assert_array_equal(soft.geometry.instance_id, sharp.geometry.instance_id)
+    np.testing.assert_array_equal(soft.geometry.z_depth, sharp.geometry.z_depth)

@@ -10,10 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from lights import radiometry
-from lights.colour import GELS, gel_rgb, random_gel, temperature_to_rgb, temperature_to_xy
+from lights import profiles, radiometry
+from lights.colour import GELS, gel_rgb, random_gel, temperature_of, temperature_to_rgb, temperature_to_xy
+from lights.frames import gobo_coordinates, spot_frame
 from lights.relight import gain_matrix, mix
-from lights.spec import LightingCondition
+from lights.spec import LightingCondition, PointLight
 from lights.tonemap import (
     HIGHLIGHT_LIMIT,
     LUMINANCE_WEIGHTS,
@@ -25,6 +26,7 @@ from lights.tonemap import (
     to_display,
     tone_curve,
 )
+from scenes.assets import sky
 
 LIGHTS = ("key", "fill", "sky")
 gain = st.floats(0.0, 8.0, width=32)
@@ -315,3 +317,229 @@ def test_random_gel_follows_its_generator():
 def test_importing_lights_leaves_colour_science_alone():
     code = "import sys, lights.colour, lights.radiometry, lights.relight; sys.exit('colour' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+# --- what lamps are sold by ---
+
+
+def test_named_quantities_keep_their_photometric_value():
+    warm = temperature_to_rgb(2700)
+
+    def photometric(quantity):
+        return 179.0 * float(luminance(np.array(quantity)))
+
+    assert photometric(radiometry.intensity_from_candela(120.0, warm)) == pytest.approx(120.0)
+    assert photometric(radiometry.intensity_from_lumens(800.0, warm)) == pytest.approx(800 / (4 * math.pi))
+    assert photometric(radiometry.irradiance_from_lux(1e5, warm)) == pytest.approx(1e5)
+    assert photometric(radiometry.radiance_from_nits(300.0, warm)) == pytest.approx(300.0)
+    # 1000 lm from 0.25 m²: exitance 4000 lm/m², luminance 4000 / pi.
+    assert photometric(radiometry.area_radiance_from_lumens(1000.0, 0.25, warm)) == pytest.approx(4000 / math.pi)
+    with pytest.raises(ValueError, match="solid angle 0"):
+        radiometry.intensity_from_lumens(800.0, warm, 0.0)
+
+
+@given(half=st.floats(0.1, 1.4), blend=st.floats(0.0, 1.0))
+def test_spot_solid_angle_is_the_integral_over_the_cone(half, blend):
+    cosine = (np.arange(200_000) + 0.5) / 200_000 * (1 - math.cos(half)) + math.cos(half)
+    t = np.clip((cosine - math.cos(half)) / max((1 - math.cos(half)) * blend, 1e-12), 0, 1)
+    integral = 2 * math.pi * (1 - math.cos(half)) * float((t * t * (3 - 2 * t)).mean())
+    assert radiometry.spot_solid_angle(half, blend) == pytest.approx(integral, rel=1e-3)
+
+
+# --- luminaires ---
+
+IES = """IESNA:LM-63-1995
+[TEST] a made-up lamp
+TILT=NONE
+1 1000 2.0 4 3 1 2 0 0 0
+0.5 1.0 20
+0 30 60, 90
+0 90 180
+100 80 20 0
+100 60 20 0
+100 40 20 0
+"""
+
+
+def test_ies_is_averaged_scaled_and_resampled():
+    lamp = profiles.parse_ies(IES)
+    # Multiplier 2 times ballast factor 0.5; the mean over 0..180 by trapezoids is 60 at 30 degrees.
+    assert lamp.candela == pytest.approx(100.0)
+    assert len(lamp.profile) == profiles.SAMPLES
+    assert lamp.profile[30] == pytest.approx(0.6)
+    assert lamp.profile[15] == pytest.approx(0.8)
+    assert lamp.profile[75] == pytest.approx(0.1)
+    assert not any(lamp.profile[90:])
+    angle = np.linspace(0, math.pi, 100_001)
+    curve = np.interp(angle, np.linspace(0, math.pi, len(lamp.profile)), lamp.profile)
+    expected = 2 * math.pi * float((curve * np.sin(angle)).mean() * math.pi) * 100
+    assert lamp.lumens == pytest.approx(expected, rel=1e-4)
+
+
+def test_flux_of_an_even_profile_is_a_sphere():
+    assert profiles.profile_flux((1.0,) * 7) == pytest.approx(4 * math.pi)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("TILT=NONE", "", "no line TILT="),
+        ("TILT=NONE", "TILT=INCLUDE", "TILT=INCLUDE: only TILT=NONE"),
+        ("1 1000 2.0 4 3 1", "1 1000 2.0 4 3 2", "photometric type 2"),
+        ("100 40 20 0\n", "", "15 angles and candelas, 19 are needed"),
+        ("100 80", "100 eighty", "eighty"),
+        ("100 80", "100 nan", "not finite"),
+        ("100 80", "100 -80", "lowest -80"),
+        ("0 30 60, 90", "0 60 30, 90", "vertical angles must ascend"),
+        ("1 1000 2.0 4 3 1", "1 1000 2.0 1 3 1", "1 vertical"),
+        ("1 1000 2.0", "1 1000 0.0", "not all 0"),
+    ],
+)
+def test_broken_ies_is_named(old, new, words):
+    assert old in IES
+    with pytest.raises(profiles.IesError, match=f"lamp.ies: .*{words}"):
+        profiles.parse_ies(IES.replace(old, new, 1), source="lamp.ies")
+
+
+def test_ies_file_errors_name_the_file(tmp_path):
+    path = tmp_path / "lamp.ies"
+    path.write_text("hello")
+    with pytest.raises(profiles.IesError, match=r"lamp\.ies: no line TILT="):
+        profiles.read_ies(path)
+    path.write_text(IES)
+    assert profiles.read_ies(path) == profiles.parse_ies(IES)
+
+
+@pytest.mark.parametrize("name", profiles.LUMINAIRES)
+def test_built_in_luminaires_keep_their_flux(name):
+    lamp = profiles.luminaire(name)
+    assert lamp.lumens == pytest.approx(profiles.LUMINAIRES[name][0], rel=0.02)
+    assert max(lamp.profile) == 1.0
+    assert min(lamp.profile) >= 0.0
+    below = profiles.profile_flux((*lamp.profile[:91], *[0.0] * 90)) * lamp.candela / lamp.lumens
+    assert (below < 0.1) == (name == "uplight")
+    assert PointLight(name="a", position=(0, 0, 1), intensity=(1, 1, 1), profile=lamp.profile).profile == lamp.profile
+
+
+def test_beams_are_as_wide_as_they_are_called():
+    def full_width(name):
+        return 2 * int(np.argmax(np.array(profiles.luminaire(name).profile) < 0.5))
+
+    assert full_width("downlight_narrow") == pytest.approx(15, abs=2)
+    assert full_width("downlight_medium") == pytest.approx(36, abs=3)
+    assert full_width("downlight_wide") == pytest.approx(70, abs=6)
+    assert np.argmax(profiles.luminaire("batwing").profile) in range(36, 48)
+    with pytest.raises(ValueError, match=r"no luminaire 'torch'.*batwing"):
+        profiles.luminaire("torch")
+
+
+# --- frames ---
+
+
+@given(
+    direction=st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda d: math.hypot(*d) > 1e-3),
+    roll=st.floats(-7, 7),
+)
+def test_spot_frame_is_a_rotation_that_looks_along_its_direction(direction, roll):
+    frame = spot_frame(direction, roll)
+    np.testing.assert_allclose(frame.T @ frame, np.eye(3), atol=1e-9)
+    assert np.linalg.det(frame) == pytest.approx(1.0)
+    np.testing.assert_allclose(-frame[:, 2], np.array(direction) / math.hypot(*direction), atol=1e-9)
+    if math.hypot(direction[0], direction[1]) > 1e-2:
+        unrolled = spot_frame(direction)
+        assert unrolled[2, 0] == pytest.approx(0.0, abs=1e-9), "right is level"
+        assert unrolled[2, 1] > 0, "up is up"
+        np.testing.assert_allclose(frame[:, 0], math.cos(roll) * unrolled[:, 0] + math.sin(roll) * unrolled[:, 1])
+
+
+def test_spot_frame_of_plain_directions():
+    north = spot_frame((0, 2, 0))
+    np.testing.assert_allclose(north, np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]), atol=1e-12)
+    down = spot_frame((0, 0, -1))
+    np.testing.assert_allclose(down, np.eye(3), atol=1e-12)
+    # Seen along +Y: a point to the right and above, on the cone's edge each way, is the image's corner.
+    corner = np.array([math.tan(0.3), 1.0, math.tan(0.3)])
+    np.testing.assert_allclose(gobo_coordinates(north, 0.3, corner), (1, 1))
+    np.testing.assert_allclose(gobo_coordinates(north, 0.3, np.array([0.0, 5.0, 0.0])), (0.5, 0.5))
+    with pytest.raises(ValueError, match="no length"):
+        spot_frame((0, 0, 0))
+
+
+# --- colour temperatures read back ---
+
+
+@pytest.mark.parametrize("kelvin", [1900, 2856, 4000, 5003, 6504, 12000])
+def test_temperature_is_read_back(kelvin):
+    found, saturation = temperature_of(tuple(7 * c for c in temperature_to_rgb(kelvin)))
+    assert found == pytest.approx(kelvin, rel=2e-3)
+    assert saturation < 1e-3
+
+
+def test_gels_are_more_saturated_than_whites():
+    strong = ("primary_red", "primary_green", "deep_blue", "magenta", "purple")
+    assert min(temperature_of(gel_rgb(name))[1] for name in strong) > 0.08
+    pale, full = temperature_of(gel_rgb("magenta", 0.2))[1], temperature_of(gel_rgb("magenta"))[1]
+    assert pale < full
+
+
+# --- sky and sun ---
+
+
+def test_preetham_zenith_worked_by_hand():
+    # T = 3, sun 30 degrees from the zenith: chi = (4/9 - 1/40) (pi - pi/3) = 0.878483, tan 1.205933.
+    assert sky.zenith_luminance(math.pi / 6, 3.0) == pytest.approx(7.1649 * 1.205933 + 1.7727, rel=1e-5)
+    # At the zenith the Perez ratio is one: the formula's own luminance comes out.
+    up = sky.clear_sky(np.array([0.0, 0.0, 1.0]), elevation=math.pi / 3, turbidity=3.0)
+    assert luminance(up) == pytest.approx(sky.zenith_luminance(math.pi / 6, 3.0), rel=1e-3)
+    assert up[2] > up[0], "a clear zenith is blue"
+
+
+@pytest.mark.parametrize("degrees", [10, 25, 40, 60])
+def test_sun_agrees_with_the_ies_clear_sky(degrees):
+    # IES Lighting Handbook: 127.5 exp(-0.21 m) klx on a surface that faces the sun, clear sky, m = 1 / sin(altitude).
+    height = math.radians(degrees)
+    expected = 127.5 * math.exp(-0.21 / math.sin(height))
+    assert luminance(np.array(sky.sun_illuminance(elevation=height, turbidity=2.0))) == pytest.approx(
+        expected, rel=0.12
+    )
+
+
+def test_rayleigh_depth_is_the_published_one():
+    # A. Bucholtz, Rayleigh-scattering calculations for the terrestrial atmosphere, 1995: 0.0973 at 550 nm; the
+    # matching functions' fit peaks near 555 nm and gives unit luminance there.
+    assert abs(0.008735 * 0.55**-4.08 / 0.0973 - 1) < 0.04
+    nm = np.arange(380.0, 781.0)
+    matching = sky.colour_matching(nm)
+    assert nm[matching[:, 1].argmax()] == pytest.approx(555, abs=4)
+    # Equal-energy light has x = y = 1/3.
+    np.testing.assert_allclose(matching.sum(axis=0) / matching.sum(), 1 / 3, atol=2e-3)
+
+
+@pytest.mark.parametrize(("name", "low", "high"), [("sky-60-2", 13, 17), ("sky-25-3", 9, 14), ("sky-overcast", 11, 14)])
+def test_skies_have_the_illuminance_of_the_day(name, low, high):
+    image = sky.sky_map(name)
+    assert image.shape == (sky.ROWS, 2 * sky.ROWS, 3)
+    assert image.min() >= 0
+    latitude = math.pi / 2 - math.pi * (np.arange(sky.ROWS) + 0.5) / sky.ROWS
+    weight = np.maximum(np.sin(latitude), 0) * np.cos(latitude) * (math.pi / sky.ROWS) ** 2
+    assert low < float((luminance(image.astype(float)) * weight[:, None]).sum()) < high
+    half = sky.ROWS // 2
+    if name != sky.OVERCAST:
+        row = luminance(image)[: half - 8]
+        assert abs(int(row.max(axis=0).argmax()) - sky.ROWS) <= 2, "the sun stands in the centre column"
+    assert luminance(image)[half + 20 :].std() < 1e-3, "the ground is even"
+
+
+def test_low_suns_are_red_and_weak():
+    suns = [np.array(sky.sun_illuminance(elevation=math.radians(e), turbidity=3.0)) for e in (3, 8, 25, 60)]
+    assert (np.diff([luminance(sun) for sun in suns]) > 0).all()
+    assert (np.diff([sun[2] / sun[0] for sun in suns]) > 0).all()
+    assert 85 < luminance(suns[-1]) < 105
+
+
+def test_sky_names():
+    assert sky.sky_parameters("sky-25-3") == (pytest.approx(math.radians(25)), 3.0)
+    assert sky.sky_name(math.radians(22), 3.4) == "sky-25-3"
+    assert {sky.sky_name(math.radians(e), t) for e in range(1, 90) for t in (2, 3, 6)} == set(sky.SKIES) - {
+        sky.OVERCAST
+    }

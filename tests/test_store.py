@@ -59,6 +59,20 @@ def test_round_trip_keeps_everything_to_half_precision(
         np.testing.assert_array_equal(getattr(back.geometry, field.name), getattr(view.geometry, field.name))
 
 
+def test_raw_layers_are_kept_beside_the_others(sphere_view: tuple[SceneRecord, ViewData], tmp_path: Path) -> None:
+    _, view = sphere_view
+    raw = {variant: layers * np.float32(0.5) for variant, layers in view.variants.items()}
+    write_view(tmp_path / "v.exr", dataclasses.replace(view, raw=raw))
+    channels = all_channels(tmp_path / "v.exr")
+    name = next(iter(view.coverage))
+    assert {f"raw_{v}.{view.lights[0]}.R" for v in ("all", f"without_{name}", f"foreground_{name}")} <= set(channels)
+    back = read_view(tmp_path / "v.exr")
+    assert set(back.variants) == set(back.raw) == set(view.variants)
+    for variant, layers in raw.items():
+        np.testing.assert_allclose(back.raw[variant], layers, rtol=1e-3, atol=1e-7)
+    assert view.raw == {}
+
+
 def test_radiance_beyond_half_is_kept_as_float(sphere_view: tuple[SceneRecord, ViewData], tmp_path: Path) -> None:
     _, view = sphere_view
     bright = {name: layers.copy() for name, layers in view.variants.items()}
@@ -94,7 +108,7 @@ def test_foreign_exr_is_refused(tmp_path: Path) -> None:
     ("old", "new", "expected"),
     [
         ('"index": 0', '"index": -1', "damaged"),
-        ('"schema_version": 1', '"schema_version": 99', "schema version 99"),
+        ('"schema_version": 2', '"schema_version": 99', "schema version 99"),
         ('"radius"', '"radios"', "damaged"),
     ],
 )

@@ -1,14 +1,21 @@
 """Each check of `verify` finds the fault it is there for, and nothing in a sound dataset."""
 
 import dataclasses
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from datagen.cli import main
+from datagen.energy import noise_variance, tolerance
+from datagen.exposure import DARK, LIFTED_BRIGHT, LIFTED_DARK, meter_condition
+from datagen.layers import Float32
 from datagen.store import ViewData, file_sha256, read_scene, read_view, scene_dir, view_file, write_text, write_view
 from datagen.verify import verify_dataset, verify_scene
+from lights.spec import LightingCondition
+from lights.tonemap import luminance
 
 Damage = Callable[[ViewData, str], ViewData]
 
@@ -109,3 +116,91 @@ def test_changed_bytes_and_missing_files_are_found(spheres_copy: Path) -> None:
     assert [(f.check, f.view) for f in verify_scene(first)] == [("files", 0)]
     write_view(second / view_file(2), read_view(second / view_file(1)))
     assert ("files", 2) in [(f.check, f.view) for f in verify_scene(second)]
+
+
+def test_noise_is_estimated_from_one_picture() -> None:
+    rng = np.random.default_rng(0)
+    smooth = np.linspace(1.0, 2.0, 200, dtype=np.float32)[:, None, None] * np.ones((1, 150, 3), np.float32)
+    noisy = smooth + rng.normal(0.0, 0.3, (200, 150, 1)).astype(np.float32)
+    assert np.sqrt(noise_variance(noisy).mean()) == pytest.approx(0.3, rel=0.02)
+    assert np.sqrt(noise_variance(smooth).mean()) < 0.01
+
+
+def test_tolerance_grows_with_noise_and_shrinks_with_pixels() -> None:
+    assert tolerance(1.0, 0.0, 100) == pytest.approx(0.02)
+    assert tolerance(1.0, 1.0, 100) > tolerance(1.0, 1.0, 10_000) > tolerance(1.0, 0.1, 10_000)
+
+
+def test_a_view_that_would_be_black_is_brightened() -> None:
+    """A small lamp lights most views and hardly the last: one exposure for all must not leave that black."""
+    lit = np.random.default_rng(0).uniform(0.1, 1.9, (1, 32, 32, 3)).astype(np.float32)
+    condition = LightingCondition(name="lamp", gains={"lamp": (1.0, 1.0, 1.0)})
+    metered = meter_condition(condition, ("lamp",), [lit] * 8).exposure_ev
+    for share, brightened in ((0.5, False), (0.15, True)):
+        dark = lit * np.float32(share)
+        exposure = meter_condition(condition, ("lamp",), [lit] * 8 + [dark]).exposure_ev
+        high = np.percentile(luminance(dark), 95) * 2.0**exposure
+        assert (high == pytest.approx(LIFTED_DARK, rel=1e-3)) == brightened
+        assert high > DARK
+        assert exposure < metered + 1.0
+    hopeless = meter_condition(condition, ("lamp",), [lit] * 8 + [lit * np.float32(1e-4)]).exposure_ev
+    assert np.median(luminance(lit)) * 2.0**hopeless <= LIFTED_BRIGHT * 1.001
+
+
+@pytest.fixture(scope="module")
+def noisy_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two small views by Cycles with few samples, denoised, the raw layers kept."""
+    root = tmp_path_factory.mktemp("noisy") / "dataset"
+    size = ("--width", "96", "--height", "72", "--views", "2", "--spp", "4", "--seed", "5", "--keep-raw")
+    assert main(["scene", "--out", str(root), "--renderer", "cycles", *size]) == 0
+    return root
+
+
+@pytest.mark.slow
+def test_noisy_views_are_sound(noisy_dataset: Path) -> None:
+    folder = scene_dir(noisy_dataset, 0)
+    record = read_scene(folder)
+    assert record.denoised
+    assert verify_scene(folder) == []
+    for number, stated in enumerate(record.views):
+        view = read_view(folder / view_file(number))
+        assert set(view.raw) == set(view.variants)
+        assert (view.raw["all"] != view.variants["all"]).any()
+        np.testing.assert_allclose(view.raw["all"].sum(axis=0), view.combined, rtol=5e-3, atol=1e-3)
+        for light, layer in zip(view.lights, view.raw["all"], strict=True):
+            assert layer.mean() == pytest.approx(stated.energy["all"][light].mean, rel=2e-3)
+
+
+def brightest_layer(change: Callable[[Float32], Float32], variant: str = "all") -> Damage:
+    """Change the layer that gives most light, as a fault in storing or mixing layers would."""
+
+    def damage(view: ViewData, name: str) -> ViewData:
+        def changed(layers: Float32) -> Float32:
+            brightest = int(np.argmax(layers.mean(axis=(1, 2, 3))))
+            layers[brightest] = change(layers[brightest])
+            return layers
+
+        return changed_variant(view, variant.format(name), changed)
+
+    return damage
+
+
+def with_mirrored_layers(view: ViewData, _: str) -> ViewData:
+    return changed_variant(view, "all", lambda layers: layers[:, :, ::-1])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "damage",
+    [
+        pytest.param(brightest_layer(np.zeros_like), id="lost"),
+        pytest.param(brightest_layer(lambda layer: 2 * layer), id="doubled"),
+        pytest.param(brightest_layer(lambda layer: layer * np.float32(0.7)), id="half-a-stop-darker"),
+        pytest.param(brightest_layer(np.zeros_like, "without_{}"), id="lost-in-background"),
+        pytest.param(with_mirrored_layers, id="mirrored"),
+    ],
+)
+def test_damage_is_found_in_noisy_layers(noisy_dataset: Path, tmp_path: Path, damage: Damage) -> None:
+    folder = Path(shutil.copytree(noisy_dataset, tmp_path / "dataset")) / "scenes" / "000000"
+    rewrite(folder, damage)
+    assert "additivity" in {fault.check for fault in verify_scene(folder)}

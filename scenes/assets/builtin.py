@@ -5,12 +5,13 @@ import zlib
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
 
-from scenes import backdrop, primitives, textures
-from scenes.assets import tables, tableware, toys
+from scenes import backdrop, gobos, grounds, patterns, primitives, screens, textures
+from scenes.assets import derived, fittings, garden, lamps, luminaires, receivers, signs, sky, tables, tableware, toys
 from scenes.assets.cache import sources_key, write_json, write_once
 from scenes.assets.environments import bpy_environment_path, bpy_environments
 from scenes.assets.info import AssetError, AssetInfo, AssetRole
@@ -21,26 +22,41 @@ Recipe = Callable[[Rng], list[Part]]
 
 OBJECTS: dict[str, tuple[Recipe, int]] = {
     "ball": (tableware.ball, 4),
+    "beach-ball": (garden.beach_ball, 3),
     "block": (toys.block, 6),
     "book": (toys.book, 5),
     "bottle": (tableware.bottle, 4),
     "bowl": (tableware.bowl, 4),
     "box": (toys.box, 4),
-    "bulb": (toys.bulb, 2),
+    "bucket": (garden.bucket, 3),
+    "bulb": (lamps.bulb, 4),
     "can": (tableware.can, 3),
-    "candle": (toys.candle, 4),
+    "candle": (lamps.candle, 4),
     "coins": (toys.coins, 2),
+    "crate": (garden.crate, 3),
+    "desk-lamp": (lamps.desk_lamp, 3),
     "die": (toys.die, 3),
     "fruit": (tableware.fruit, 5),
     "jar": (tableware.jar, 4),
+    "lamp": (lamps.lamp, 4),
+    "lantern": (lamps.lantern, 4),
+    "monitor": (signs.monitor, 3),
     "mug": (tableware.mug, 5),
-    "neon": (toys.neon, 5),
-    "orb": (toys.orb, 3),
+    "neon": (signs.neon, 10),
+    "night-light": (lamps.night_light, 6),
+    "orb": (lamps.orb, 3),
     "pawn": (tableware.pawn, 4),
+    "pebble": (garden.pebble, 5),
+    "phone": (signs.phone, 4),
+    "plant-pot": (garden.plant_pot, 5),
     "plate": (tableware.plate, 3),
     "ring": (toys.ring, 3),
+    "sign": (signs.sign, 3),
+    "tablet": (signs.tablet, 3),
     "tumbler": (tableware.tumbler, 3),
     "vase": (tableware.vase, 8),
+    "votive": (lamps.votive, 3),
+    "watering-can": (garden.watering_can, 3),
 }
 TABLES: dict[str, tuple[Recipe, int]] = {
     "table-bistro": (tables.table_bistro, 2),
@@ -50,8 +66,48 @@ TABLES: dict[str, tuple[Recipe, int]] = {
     "table-trestle": (tables.table_trestle, 2),
     "table-workbench": (tables.table_workbench, 2),
 }
-SURROUNDINGS: dict[str, tuple[Recipe, int]] = {"sweep": (backdrop.seamless_paper, 1)}
-LAMPS = {"bulb": "glow", "candle": "flame", "neon": "glow", "orb": "glow"}
+SURROUNDINGS: dict[str, tuple[Recipe, int]] = {
+    "bench": (garden.bench, 3),
+    "garden-chair": (garden.garden_chair, 3),
+    "planter": (garden.planter, 3),
+    "plinth": (receivers.plinth, 12),
+    "slab": (receivers.slab, 6),
+    "standing-mirror": (receivers.standing_mirror, 4),
+    "sweep": (backdrop.seamless_paper, 1),
+    "sweep-roll": (backdrop.paper_roll, 1),
+    "sweep-table": (backdrop.table_sweep, 2),
+    "tray": (receivers.tray, 3),
+    **fittings.FITTINGS,
+    **luminaires.LUMINAIRES,
+}
+LAMPS = {
+    "bulb": "glow",
+    "candle": "flame",
+    "desk-lamp": "glow",
+    "lamp": "glow",
+    "lantern": "glow",
+    "monitor": "screen",
+    "neon": "glow",
+    "night-light": "glow",
+    "orb": "glow",
+    "phone": "screen",
+    "sign": "screen",
+    "tablet": "screen",
+    "votive": "flame",
+}
+CATEGORIES = {
+    "beach-ball": "ball",
+    "desk-lamp": "lamp",
+    "garden-chair": "chair",
+    "night-light": "night light",
+    "orb": "lamp",
+    "pebble": "stone",
+    "plant-pot": "plant",
+    "standing-mirror": "mirror",
+    "votive": "candle",
+    "watering-can": "watering can",
+}
+"""Categories of kinds that are not called after them."""
 LICENCE, CREATOR = "CC0-1.0", "DTC-MultiLight builder"
 
 
@@ -75,14 +131,21 @@ def _model_infos(kinds: dict[str, tuple[Recipe, int]], role: AssetRole) -> list[
                     pack="builtin",
                     role=role,
                     name=f"{kind.replace('-', ' ')} {variant}",
-                    category="lamp" if kind in LAMPS else kind.replace("table-", "") if role == "table" else kind,
+                    category=_category(kind, role),
                     licence=LICENCE,
                     creator=CREATOR,
                     size=(x, y, z),
-                    emissive_part=LAMPS.get(kind),
+                    emissive_part="glow" if kind in luminaires.LUMINAIRES else LAMPS.get(kind),
                 )
             )
     return result
+
+
+def _category(kind: str, role: AssetRole) -> str:
+    """Name what a kind of model is: its sizes and shapes come after a hyphen."""
+    if kind in CATEGORIES:
+        return CATEGORIES[kind]
+    return kind.removeprefix("table-") if role == "table" else kind.partition("-")[0]
 
 
 def builtin_models() -> list[AssetInfo]:
@@ -97,19 +160,22 @@ class BuiltinPack:
 
     def __init__(self, cache: Path) -> None:
         self._cache = cache
-        modules = (primitives.__file__, tableware.__file__, toys.__file__, tables.__file__, backdrop.__file__, __file__)
-        self._model_key = sources_key(*modules)
-        self._texture_key = sources_key(textures.__file__)
+        modules = (primitives, tableware, toys, tables, lamps, signs, garden, receivers, fittings, luminaires, backdrop)
+        self._model_key = sources_key(*(str(module.__file__) for module in modules), __file__)
+        self._texture_key = sources_key(
+            textures.__file__, patterns.__file__, grounds.__file__, screens.__file__, derived.__file__
+        )
+        self._gobo_key, self._sky_key = sources_key(gobos.__file__), sources_key(sky.__file__)
 
     def infos(self) -> list[AssetInfo]:
-        """List models, textures and bpy's HDRIs; models are measured once and remembered in the cache."""
+        """List models, textures, skies and bpy's HDRIs; models are measured once and remembered in the cache."""
         index = self._cache / "index" / f"builtin-{self._model_key}.json"
         write_once(index, lambda path: write_json(path, [asdict(info) for info in builtin_models()]))
         models = [
             AssetInfo(**entry | {"size": tuple(entry["size"])})
             for entry in json.loads(index.read_text(encoding="utf-8"))
         ]
-        return models + _texture_infos() + bpy_environments()
+        return models + _texture_infos() + sky.sky_infos(licence=LICENCE, creator=CREATOR) + bpy_environments()
 
     def mesh_key(self, name: str) -> str:
         """Hash the recipes' source."""
@@ -120,35 +186,52 @@ class BuiltinPack:
         return builtin_mesh(name)
 
     def texture(self, name: str) -> Path:
-        """Return a texture's PNG, or with `-normal` its normal map's; both are made on first use."""
-        base = name.removesuffix("-normal")
-        if base not in textures.TEXTURES:
+        """Return a texture's PNG, with `-normal` or `-roughness` that map's; all are made on first use."""
+        if name in gobos.GOBOS:
+            gobo = self._cache / "textures" / "builtin" / self._gobo_key / f"{name}.png"
+            return write_once(gobo, lambda path: Image.fromarray(gobos.make_gobo(name)).save(path))
+        base = name.removesuffix("-normal").removesuffix("-roughness")
+        if name not in screens.SCREENS and base not in textures.TEXTURES:
             raise AssetError(f"no texture 'builtin/{name}'; there are {', '.join(sorted(textures.TEXTURES))}")
         folder = self._cache / "textures" / "builtin" / self._texture_key
         path = folder / f"{name}.png"
+        if name in screens.SCREENS:
+            return write_once(path, screens.make_screen(name).save)
         if not path.exists():
-            albedo, normal = textures.make_texture(base)
-            write_once(folder / f"{base}.png", Image.fromarray(albedo).save)
-            write_once(folder / f"{base}-normal.png", Image.fromarray(normal).save)
+            for suffix, pixels in zip(("", "-normal", "-roughness"), textures.make_texture(base), strict=True):
+                write_once(folder / f"{base}{suffix}.png", Image.fromarray(pixels).save)
         return path
 
     def environment(self, name: str) -> Path:
-        """Return one of bpy's own EXR files."""
+        """Return a sky, made on first use, or one of bpy's own EXR files."""
+        if name in sky.SKIES:
+            return sky.sky_path(name, self._cache / "environments" / "builtin" / self._sky_key)
         return bpy_environment_path(name, self._cache)
 
 
 def _texture_infos() -> list[AssetInfo]:
-    return [
-        AssetInfo(
-            id=f"builtin/{name}",
-            pack="builtin",
-            role="texture",
-            name=name.replace("-", " "),
-            category=recipe.category,
-            licence=LICENCE,
-            creator=CREATOR,
+    surfaces = [
+        _texture_info(
+            name,
+            recipe.category,
             size=(recipe.metres, recipe.metres, 0.0),
             normal_map=f"builtin/{name}-normal",
+            roughness_map=f"builtin/{name}-roughness",
         )
         for name, recipe in textures.TEXTURES.items()
     ]
+    flat = {name: screen.category for name, screen in screens.SCREENS.items()} | dict.fromkeys(gobos.GOBOS, "gobo")
+    return surfaces + [_texture_info(name, category) for name, category in flat.items()]
+
+
+def _texture_info(name: str, category: str, **about: Any) -> AssetInfo:
+    return AssetInfo(
+        id=f"builtin/{name}",
+        pack="builtin",
+        role="texture",
+        name=name.replace("-", " "),
+        category=category,
+        licence=LICENCE,
+        creator=CREATOR,
+        **about,
+    )

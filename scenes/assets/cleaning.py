@@ -52,9 +52,10 @@ def extent(parts: list[RawPart]) -> tuple[Array, Array]:
     return points.min(axis=0), points.max(axis=0)
 
 
-def clean_mesh(parts: list[RawPart]) -> Mesh:
+def clean_mesh(parts: list[RawPart], *, turn_out: bool = True) -> Mesh:
     """Centre the parts in x and y, stand them on z = 0, and clean each; parts left without faces are dropped.
 
+    `turn_out`: closed pieces that are inside out are turned; not so for a room, which is one seen from inside.
     Raises `ValueError` where nothing is left or a coordinate is not finite.
     """
     parts = [part for part in parts if len(part.faces)]
@@ -63,14 +64,14 @@ def clean_mesh(parts: list[RawPart]) -> Mesh:
     low, high = extent(parts)
     size = float((high - low).max())
     offset = np.array([-(low[0] + high[0]) / 2, -(low[1] + high[1]) / 2, -low[2]])
-    cleaned = (_clean(replace(part, vertices=part.vertices + offset), size) for part in parts)
+    cleaned = (_clean(replace(part, vertices=part.vertices + offset), size, turn_out) for part in parts)
     result = tuple(part for part in cleaned if part is not None)
     if not result:
         raise ValueError("has only degenerate faces")
     return Mesh(result)
 
 
-def _clean(part: RawPart, size: float) -> MeshPart | None:
+def _clean(part: RawPart, size: float, turn_out: bool) -> MeshPart | None:
     """Drop degenerate and doubled faces, make winding and normals agree, and keep only used vertices."""
     welded, corner = _weld(part.vertices, size * 1e-6)
     faces, kept = _sound(part.vertices, part.faces, corner)
@@ -85,7 +86,7 @@ def _clean(part: RawPart, size: float) -> MeshPart | None:
         against = np.zeros(len(faces), dtype=bool)
     faces = np.where(against[:, None], faces[:, ::-1], faces)
     welded_faces = np.where(against[:, None], welded_faces[:, ::-1], welded_faces)
-    inside_out = _inside_out(welded, welded_faces)
+    inside_out = _inside_out(welded, welded_faces) if turn_out else np.zeros(len(faces), dtype=bool)
     faces = np.where(inside_out[:, None], faces[:, ::-1], faces)
     if normals is None:
         corner_normals = _crease_normals(part.vertices, faces, corner[faces])

@@ -11,8 +11,9 @@ from scenes.spec import Material, Rgb, Texture
 
 @dataclass(frozen=True)
 class Finish:
-    """What a word in a material's name tells of its surface."""
+    """What a word in a material's name tells of its surface; `kind` is a class of `scenes.materials.FINISHES`."""
 
+    kind: str
     words: tuple[str, ...]
     roughness: float
     metallic: float = 0.0
@@ -21,49 +22,54 @@ class Finish:
 
 # English, French, Spanish, German and Swedish, as the catalogues' authors name things. The first match counts.
 FINISHES = (
-    Finish(("plast", "button", "keys", "tecla"), 0.4),
-    Finish(("brushed", "alumin", "alumain", "steel", "acero"), 0.35, metallic=1.0),
+    Finish("plastic", ("plast", "button", "keys", "tecla"), 0.4),
+    Finish("brushed", ("brushed", "alumin", "alumain", "steel", "acero"), 0.35, metallic=1.0),
     Finish(
-        ("chrome", "crom", "cr.nk", "silver", "mirror", "plata", "cuttelry", "cutlery", "blade"), 0.15, metallic=1.0
+        "polished",
+        ("chrome", "crom", "cr.nk", "silver", "mirror", "plata", "cuttelry", "cutlery", "blade"),
+        0.15,
+        metallic=1.0,
     ),
-    Finish(("gold", "brass", "copper", "bronze"), 0.22, metallic=1.0),
-    Finish(("metal", "iron", "alu", "tin", "screw", "blad"), 0.32, metallic=1.0),
-    Finish(("ceramic", "porcelain", "ceramique", "beige_with_flowers", "enamel"), 0.2, coat=0.8),
+    Finish("polished", ("gold", "brass", "copper", "bronze"), 0.22, metallic=1.0),
+    Finish("brushed", ("metal", "iron", "alu", "tin", "screw", "blad"), 0.32, metallic=1.0),
+    Finish("ceramic", ("ceramic", "porcelain", "ceramique", "beige_with_flowers", "enamel"), 0.2, coat=0.8),
     Finish(
-        ("wood", "madera", "fusta", "oak", "pine", "teak", "alder", "walnut", "pear_", "beech", "wenge", "mahag"), 0.5
+        "wood",
+        ("wood", "madera", "fusta", "oak", "pine", "teak", "alder", "walnut", "pear_", "beech", "wenge", "mahag"),
+        0.5,
     ),
-    Finish(("glass", "cristal", "vidre", "verre", "vetro"), 0.05),
-    Finish(("leather", "cuir", "cuero"), 0.5),
-    Finish(("fabric", "cloth", "tela", "toalla", "cotton", "velvet", "plush", "teddy", "belt", "lasso"), 0.9),
-    Finish(("rubber", "goma", "sole", "wheel", "pneu"), 0.75),
-    Finish(("paper", "page", "card", "newspaper", "label", "etiq"), 0.8),
-    Finish(("stone", "rock", "soil", "ground", "erde", "flints", "bark"), 0.85),
-    Finish(("leaf", "leaves", "petal", "plant", "stem", "flower", "branch", "blatt", "cactus"), 0.55),
-    Finish(("apple", "pear", "banana", "orange", "cherry", "lemon"), 0.35, coat=0.3),
-    Finish(("paint", "gloss", "shiny"), 0.3, coat=0.4),
+    Finish("glass", ("glass", "cristal", "vidre", "verre", "vetro"), 0.05),
+    Finish("leather", ("leather", "cuir", "cuero"), 0.5),
+    Finish("fabric", ("fabric", "cloth", "tela", "toalla", "cotton", "velvet", "plush", "teddy", "belt", "lasso"), 0.9),
+    Finish("rubber", ("rubber", "goma", "sole", "wheel", "pneu"), 0.75),
+    Finish("paper", ("paper", "page", "card", "newspaper", "label", "etiq"), 0.8),
+    Finish("rough stone", ("stone", "rock", "soil", "ground", "erde", "flints", "bark"), 0.85),
+    Finish("leaf", ("leaf", "leaves", "petal", "plant", "stem", "flower", "branch", "blatt", "cactus"), 0.55),
+    Finish("skin", ("apple", "pear", "banana", "orange", "cherry", "lemon"), 0.35, coat=0.3),
+    Finish("paint", ("paint", "gloss", "shiny"), 0.3, coat=0.4),
 )
 BY_CATEGORY = {
-    "cup": Finish((), 0.22, coat=0.8),
-    "mug": Finish((), 0.22, coat=0.8),
-    "plate": Finish((), 0.22, coat=0.8),
-    "bowl": Finish((), 0.25, coat=0.7),
-    "jug": Finish((), 0.22, coat=0.8),
-    "teapot": Finish((), 0.22, coat=0.8),
-    "vase": Finish((), 0.3, coat=0.5),
-    "cutlery": Finish((), 0.2, metallic=1.0),
-    "jewellery": Finish((), 0.12, metallic=1.0),
-    "keys": Finish((), 0.25, metallic=1.0),
-    "pan": Finish((), 0.3, metallic=1.0),
-    "plant": Finish((), 0.6),
-    "food": Finish((), 0.5),
-    "shoe": Finish((), 0.55),
-    "bag": Finish((), 0.55),
-    "fabric": Finish((), 0.9),
-    "hat": Finish((), 0.85),
-    "stone": Finish((), 0.85),
-    "paper": Finish((), 0.8),
-    "camera": Finish((), 0.45),
-    "electronics": Finish((), 0.4),
+    "cup": Finish("ceramic", (), 0.22, coat=0.8),
+    "mug": Finish("ceramic", (), 0.22, coat=0.8),
+    "plate": Finish("ceramic", (), 0.22, coat=0.8),
+    "bowl": Finish("ceramic", (), 0.25, coat=0.7),
+    "jug": Finish("ceramic", (), 0.22, coat=0.8),
+    "teapot": Finish("ceramic", (), 0.22, coat=0.8),
+    "vase": Finish("ceramic", (), 0.3, coat=0.5),
+    "cutlery": Finish("polished", (), 0.2, metallic=1.0),
+    "jewellery": Finish("polished", (), 0.12, metallic=1.0),
+    "keys": Finish("polished", (), 0.25, metallic=1.0),
+    "pan": Finish("brushed", (), 0.3, metallic=1.0),
+    "plant": Finish("leaf", (), 0.6),
+    "food": Finish("skin", (), 0.5),
+    "shoe": Finish("leather", (), 0.55),
+    "bag": Finish("leather", (), 0.55),
+    "fabric": Finish("fabric", (), 0.9),
+    "hat": Finish("fabric", (), 0.85),
+    "stone": Finish("rough stone", (), 0.85),
+    "paper": Finish("paper", (), 0.8),
+    "camera": Finish("plastic", (), 0.45),
+    "electronics": Finish("plastic", (), 0.4),
 }
 GLASS_WORDS = ("glass", "cristal", "vidre", "verre", "vetro", "glas", "bottle", "carafe", "diamon")
 
@@ -78,6 +84,12 @@ class MtlEntry:
     opacity: float
     texture: str | None
     texture_has_alpha: bool
+
+
+def class_of(words: str, category: str) -> str | None:
+    """Return the class of surface that lower-case words name, else that of the category; None where neither tells."""
+    found = next((f for f in FINISHES if any(word in words for word in f.words)), BY_CATEGORY.get(category))
+    return None if found is None else found.kind
 
 
 def linear(colour: ArrayLike) -> Rgb:
@@ -99,7 +111,7 @@ def material_of(entry: MtlEntry, *, category: str, closed: bool) -> Material:
     finish = next((f for f in FINISHES if any(word in words for word in f.words)), BY_CATEGORY.get(category))
     if finish is None:
         ns = 20.0 if entry.shininess is None else max(entry.shininess, 0.0)
-        finish = Finish((), float(np.clip((2 / (min(ns, 400.0) + 2)) ** 0.25, 0.25, 0.7)))
+        finish = Finish("plastic", (), float(np.clip((2 / (min(ns, 400.0) + 2)) ** 0.25, 0.25, 0.7)))
     textured = entry.texture is not None
     material = Material(
         name=entry.name,

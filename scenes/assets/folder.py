@@ -14,19 +14,19 @@ import re
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import trimesh
 from PIL import Image
 
-from scenes.assets import cleaning
+from scenes.assets import cleaning, gltf
 from scenes.assets.cache import sources_key, write_json, write_once
 from scenes.assets.cleaning import Z_UP_FROM_Y_UP, RawPart, clean_mesh, extent, transformed
-from scenes.assets.finishes import linear, part_name
+from scenes.assets.gltf import raw_part
+from scenes.assets.imported import image_digest
 from scenes.assets.info import AssetError, AssetInfo
 from scenes.meshes import Mesh
-from scenes.spec import Material, Texture
+from scenes.spec import Texture
 
 SUFFIXES = (".glb", ".gltf", ".obj")
 COLUMNS = ("file", "id", "role", "category", "licence", "metres_per_unit", "up_axis")
@@ -53,7 +53,7 @@ class FolderPack:
             raise AssetError(f"{folder} is not a folder")
         self._folder, self._cache = folder.resolve(), cache
         self.name = self._folder.name
-        self._key = sources_key(__file__, cleaning.__file__)
+        self._key = sources_key(__file__, gltf.__file__, cleaning.__file__)
 
     @cached_property
     def _entries(self) -> dict[str, _Entry]:
@@ -139,56 +139,16 @@ class FolderPack:
             scene = trimesh.load_scene(path, process=False)
         finally:
             logger.level = level
-        parts = [self._part(geometry) for geometry in scene.dump() if isinstance(geometry, trimesh.Trimesh)]
+        meshes = [geometry for geometry in scene.dump() if isinstance(geometry, trimesh.Trimesh)]
+        parts = [raw_part(mesh, self._texture) for mesh in meshes]
         if not parts:
             raise AssetError(f"{path} holds no triangles")
         return parts
 
-    def _part(self, geometry: Any) -> RawPart:
-        uv = getattr(geometry.visual, "uv", None)
-        given = "vertex_normals" in geometry._cache.cache
-        return RawPart(
-            self._material(geometry.visual, has_uv=uv is not None),
-            np.asarray(geometry.vertices, np.float64),
-            np.asarray(geometry.faces, np.int64),
-            np.asarray(geometry.vertex_normals, np.float64) if given else None,
-            None if uv is None else np.asarray(uv, np.float64),
-        )
-
-    def _material(self, visual: Any, *, has_uv: bool) -> Material:
-        """Translate trimesh's material (glTF metallic-roughness, or MTL) into ours."""
-        given = getattr(visual, "material", None)
-        if given is None:
-            return Material(name="material")
-        pbr = given if isinstance(given, trimesh.visual.material.PBRMaterial) else given.to_pbr()
-        factor = np.asarray(pbr.baseColorFactor if pbr.baseColorFactor is not None else (255,) * 4, np.float64)
-        factor = factor / 255 if factor.max() > 1 else factor
-        colour = tuple(float(np.clip(v, 0, 1)) for v in factor[:3])
-        textured = has_uv and pbr.baseColorTexture is not None
-        packed = pbr.metallicRoughnessTexture if has_uv else None
-        roughness = 1.0 if pbr.roughnessFactor is None else float(pbr.roughnessFactor)
-        metallic = 1.0 if pbr.metallicFactor is None else float(pbr.metallicFactor)
-        if packed is not None:
-            # glTF 2.0: green holds roughness, blue metallic; the spec has one metallic value a material.
-            channels = np.asarray(packed.convert("RGB"), np.float64)
-            metallic *= float(np.round(channels[..., 2].mean() / 255))
-        blend = pbr.alphaMode in ("BLEND", "MASK")
-        return Material(
-            name=part_name(str(pbr.name or "material")),
-            base_color=(colour[0], colour[1], colour[2]) if pbr is given else linear(colour),
-            base_color_texture=self._texture(pbr.baseColorTexture) if textured else None,
-            roughness=float(np.clip(roughness, 0, 1)),
-            roughness_texture=None if packed is None else self._texture(packed.convert("RGB").getchannel("G")),
-            metallic=float(np.clip(metallic, 0, 1)),
-            opacity=float(np.clip(factor[3], 0, 1)) if blend and not textured and len(factor) > 3 else 1.0,
-            opacity_from_alpha=bool(blend and textured and pbr.baseColorTexture.mode in ("RGBA", "LA")),
-            normal_texture=self._texture(pbr.normalTexture) if has_uv and pbr.normalTexture is not None else None,
-        )
-
     def _texture(self, image: Image.Image) -> Texture:
         """Keep a picture in the cache under the hash of its pixels."""
         image = image if image.mode in ("L", "RGB", "RGBA") else image.convert("RGBA" if "A" in image.mode else "RGB")
-        digest = hashlib.sha256(f"{image.mode} {image.size}".encode() + image.tobytes()).hexdigest()[:32]
+        digest = image_digest(image)
         write_once(self._texture_file(digest), image.save)
         return Texture(image=f"{self.name}/texture/{digest}")
 

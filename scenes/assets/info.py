@@ -17,7 +17,8 @@ class AssetInfo:
     `category` is a word such as `mug`, `wood` or `indoor`. `size` (x, y, z) is in metres: a model's extent, or
     the stretch (x, y, 0) that one repeat of a texture covers. `place` names the real place of an environment
     map (splits go by place). `emissive_part` names the mesh part that may glow. `normal_map` is the id of the
-    tangent-space normal map that goes with a texture (resolved by `AssetLibrary.texture_path`, +Y up).
+    tangent-space normal map that goes with a texture (resolved by `AssetLibrary.texture_path`, +Y up), and
+    `roughness_map` that of its roughness map, whose mean is `scenes.assets.derived.MEAN_ROUGHNESS`.
     """
 
     id: str
@@ -31,3 +32,4 @@ class AssetInfo:
     place: str | None = None
     emissive_part: str | None = None
     normal_map: str | None = None
+    roughness_map: str | None = None

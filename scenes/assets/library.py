@@ -1,6 +1,7 @@
 """The one place that finds, loads and lists assets by id (`pack/name`)."""
 
 import contextlib
+import copy
 import hashlib
 import zipfile
 from collections.abc import Iterator, Sequence
@@ -8,6 +9,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Protocol
 
+from scenes.assets import derived
+from scenes.assets.background import BackgroundPack
 from scenes.assets.builtin import BuiltinPack
 from scenes.assets.cache import default_cache
 from scenes.assets.environments import PmndrsPack
@@ -17,6 +20,7 @@ from scenes.assets.info import AssetError, AssetInfo, AssetRole
 from scenes.assets.surfaces import SurfacePack
 from scenes.assets.sweethome3d import SweetHome3dPack
 from scenes.meshes import Mesh, load_mesh, save_mesh
+from scenes.splits import Split, in_split
 
 __all__ = ["AssetError", "AssetInfo", "AssetLibrary", "AssetRole"]
 
@@ -71,15 +75,21 @@ class AssetLibrary:
 
     `cache` holds fetched packs and converted meshes (default: `$MULTILIGHT_CACHE`, else `~/.cache/multilight`).
     `packs` are the names of the packs to use (default: `builtin` and every fetched one); `folders` are the
-    user's own folders of models, each a pack under its folder's name. `broken` fills with what was asked for and
-    could not be read: asset id → reason. Raises `AssetError` for a pack that is not there.
+    user's own folders of models, each a pack under its folder's name; `background` is a GLB, glTF or USD scene.
+    `broken` fills with what was asked for and could not be read: asset id → reason. Raises `AssetError` for a pack
+    or a background that is not there.
     """
 
     def __init__(
-        self, cache: Path | None = None, packs: tuple[str, ...] | None = None, folders: tuple[Path, ...] = ()
+        self,
+        cache: Path | None = None,
+        packs: tuple[str, ...] | None = None,
+        folders: tuple[Path, ...] = (),
+        background: Path | None = None,
     ) -> None:
         self.cache = default_cache() if cache is None else Path(cache)
         self.broken: dict[str, str] = {}
+        self.split: Split | None = None
         wanted = (BuiltinPack.name, *(n for n in SOURCES if is_fetched(n, self.cache))) if packs is None else packs
         self._packs: dict[str, Pack] = {name: _open(name, self.cache) for name in wanted}
         for folder in folders:
@@ -87,11 +97,21 @@ class AssetLibrary:
             if pack.name in self._packs:
                 raise AssetError(f"two packs are called {pack.name!r}; rename the folder {folder}")
             self._packs[pack.name] = pack
+        self.background = None if background is None else BackgroundPack(Path(background), self.cache)
+        if self.background is not None:
+            self._packs[self.background.name] = self.background
 
     @cached_property
     def _infos(self) -> dict[str, AssetInfo]:
         infos = (info for pack in self._packs.values() for info in pack.infos())
         return {info.id: info for info in sorted(infos, key=lambda info: info.id)}
+
+    def restricted(self, split: Split) -> "AssetLibrary":
+        """Return a view that lists, and hands out, only what scenes of a split may show (see `scenes.splits`)."""
+        view = copy.copy(self)
+        view.split = split
+        view.__dict__["_infos"] = {asset: info for asset, info in self._infos.items() if in_split(info, split)}
+        return view
 
     def list(self, role: AssetRole) -> tuple[AssetInfo, ...]:
         """List the installed assets of a role, sorted by id."""
@@ -101,6 +121,8 @@ class AssetLibrary:
         """Return what is known of an asset; raises `AssetError` with the command that fetches its pack."""
         if asset not in self._infos:
             self._pack(asset)
+            if self.split is not None:
+                raise AssetError(f"asset {asset!r} does not belong to the split {self.split!r}")
             raise AssetError(f"no asset {asset!r}; `multilight assets list` shows those there are")
         return self._infos[asset]
 
@@ -129,7 +151,13 @@ class AssetLibrary:
         return mesh
 
     def texture_path(self, image: str) -> Path:
-        """Return the PNG or JPEG file of a texture, made on first use where it is procedural."""
+        """Return the PNG or JPEG file of a texture, made on first use where it is procedural.
+
+        `#normal` or `#roughness` behind an id asks for the map derived from that picture.
+        """
+        source, _, kind = image.rpartition("#")
+        if kind in derived.MAPS and source:
+            return derived.derived_map(self.texture_path(source), kind, self.cache)
         pack, name = self._pack(image)
         with self._noting(image):
             return pack.texture(name)

@@ -1,8 +1,9 @@
 """The pack `sweethome3d`: models of the Sweet Home 3D furniture libraries, a curated part of them.
 
 The libraries are ZIP files (`*.sh3f`) of OBJ models with a table of properties; ids, roles and categories come
-from `sweethome3d.csv` beside this file. Sizes are those of the catalogue, in centimetres there: width along the
-file's X, height along its Y, depth along its Z, after `modelRotation`.
+from two tables beside this file: `sweethome3d.csv` (tables, and what stands on them) and `furniture.csv` (what
+furnishes rooms). Sizes are those of the catalogue, in centimetres there: width along the file's X, height along its
+Y, depth along its Z, after `modelRotation`.
 """
 
 import csv
@@ -25,10 +26,11 @@ from scenes.assets import cleaning, finishes
 from scenes.assets.cache import sources_key, write_once
 from scenes.assets.cleaning import Z_UP_FROM_Y_UP, RawPart, clean_mesh, extent, transformed
 from scenes.assets.finishes import MtlEntry, material_of, part_name
-from scenes.assets.info import AssetError, AssetInfo
+from scenes.assets.info import AssetError, AssetInfo, AssetRole
 from scenes.meshes import Mesh
 
 TABLE = Path(__file__).with_name("sweethome3d.csv")
+FURNITURE = Path(__file__).with_name("furniture.csv")
 LICENCES = {
     "BlendSwap-CC-0": "CC0-1.0",
     "BlendSwap-CC-BY": "CC-BY-3.0",
@@ -83,7 +85,7 @@ class SweetHome3dPack:
 
     def __init__(self, folder: Path, cache: Path) -> None:
         self._folder, self._cache = folder, cache
-        code = (str(p) for p in (__file__, finishes.__file__, cleaning.__file__, TABLE))
+        code = (str(p) for p in (__file__, finishes.__file__, cleaning.__file__, TABLE, FURNITURE))
         self._key = sources_key(*code)
 
     @cached_property
@@ -92,9 +94,8 @@ class SweetHome3dPack:
         for archive in sorted(LICENCES):
             for entry in _properties(self._folder / f"{archive}.sh3f"):
                 catalogue[entry["id"]] = (archive, entry)
-        with TABLE.open(encoding="utf-8", newline="") as table:
-            rows = [row for row in csv.DictReader(table) if row["model"] in catalogue]
-        return {row["id"]: _Model(row, *catalogue[row["model"]]) for row in rows}
+        rows = _rows(TABLE) + [row | {"role": "surrounding"} for row in _rows(FURNITURE)]
+        return {row["id"]: _Model(row, *catalogue[row["model"]]) for row in rows if row["model"] in catalogue}
 
     def infos(self) -> list[AssetInfo]:
         """List the curated models that the installed libraries hold."""
@@ -102,7 +103,7 @@ class SweetHome3dPack:
             AssetInfo(
                 id=f"{self.name}/{name}",
                 pack=self.name,
-                role="table" if model.row["role"] == "table" else "object",
+                role=cast(AssetRole, model.row["role"]),
                 name=model.properties["name"],
                 category=model.row["category"],
                 licence=LICENCES[model.archive],
@@ -154,6 +155,12 @@ class SweetHome3dPack:
 def _flat(path: str) -> str:
     """Name a file of the cache after a path inside a ZIP, without folders."""
     return f"{hashlib.sha256(path.encode()).hexdigest()[:8]}-{PurePosixPath(path).name.replace(' ', '_')}"
+
+
+def _rows(table: Path) -> list[dict[str, str]]:
+    """Read one of the curated tables."""
+    with table.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
 
 
 @cache

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from scenes.assets.tableware import Part, Rng, metal, paint, tiled
+from scenes.assets.tableware import Part, Rng, metal, paint, patterned
 from scenes.primitives import Surface, lathe, merge, rotation, rounded, rounded_box, tube
 from scenes.spec import Material
 
@@ -21,20 +21,13 @@ TOPS = (
 def top_material(rng: Rng) -> Material:
     """Draw what a table top is made of."""
     name, size, roughness, coat = TOPS[int(rng.integers(len(TOPS)))]
-    return Material(
-        name="top",
-        base_color=(1, 1, 1),
-        base_color_texture=tiled(name, size),
-        normal_texture=tiled(f"{name}-normal", size),
-        roughness=roughness,
-        coat=coat,
-    )
+    return patterned("top", name, size, roughness, coat=coat)
 
 
 def leg_material(rng: Rng) -> Material:
     """Draw what the legs are made of."""
     wood = ("wood-oak", "wood-walnut", "wood-pine")[int(rng.integers(3))]
-    timber = Material(name="legs", base_color=(1, 1, 1), base_color_texture=tiled(wood, 0.5), roughness=0.5, coat=0.2)
+    timber = patterned("legs", wood, 0.5, 0.5, coat=0.2)
     other = (metal(rng), paint(rng))[int(rng.integers(2))].model_copy(update={"name": "legs"})
     return timber if rng.random() < 0.6 else other
 

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from scenes.assets.derived import MEAN_ROUGHNESS
 from scenes.meshes import Mesh, MeshPart
 from scenes.primitives import (
     Array,
@@ -53,15 +54,25 @@ def tiled(name: str, size: float) -> Texture:
     return Texture(image=f"builtin/{name}", repeat=(1 / size, 1 / size))
 
 
+def patterned(name: str, texture: str, size: float, roughness: float, *, coat: float = 0.0) -> Material:
+    """Make a material of a built-in texture with its bumps and its roughness map, `size` metres a repeat."""
+    return Material(
+        name=name,
+        base_color=(1, 1, 1),
+        base_color_texture=tiled(texture, size),
+        normal_texture=tiled(f"{texture}-normal", size),
+        roughness=min(1.0, roughness / MEAN_ROUGHNESS),
+        roughness_texture=tiled(f"{texture}-roughness", size),
+        coat=coat,
+    )
+
+
 def ceramic(rng: Rng) -> Material:
     """Draw a glazed ceramic: plain, or speckled."""
     coat = float(rng.uniform(0.4, 1.0))
     roughness = float(rng.uniform(0.25, 0.55))
     if rng.random() < 0.5:
-        texture = tiled(CERAMIC_TEXTURES[int(rng.integers(3))], 0.1)
-        return Material(
-            name="ceramic", base_color=(1, 1, 1), base_color_texture=texture, roughness=roughness, coat=coat
-        )
+        return patterned("ceramic", CERAMIC_TEXTURES[int(rng.integers(3))], 0.1, roughness, coat=coat)
     return Material(name="ceramic", base_color=pick(rng, GLAZES), roughness=roughness, coat=coat)
 
 
@@ -211,7 +222,7 @@ def jar(rng: Rng) -> list[Part]:
         (0, 0.038),
     ]
     top = lathe(rounded(lid, [0, 0.002, 0.004, 0.003, 0.004, 0.007, 0])).moved((0, 0, h - 0.001))
-    wood = Material(name="lid", base_color=(1, 1, 1), base_color_texture=tiled("wood-oak", 0.4), roughness=0.5)
+    wood = patterned("lid", "wood-oak", 0.4, 0.5)
     return [(body, glass(rng) if rng.random() < 0.5 else ceramic(rng)), (top, wood)]
 
 
@@ -250,13 +261,7 @@ def pawn(rng: Rng) -> list[Part]:
     angle = np.linspace(-0.9, np.pi / 2, 20)
     head = np.stack([ball * np.cos(angle), 1 - ball + ball * np.sin(angle)], -1)
     profile = np.concatenate([rounded(stem, [0, 0.03, 0.05, 0.1, 0.2, 0.02, 0.02, 0]), head]) * s
-    wood = Material(
-        name="wood",
-        base_color=(1, 1, 1),
-        base_color_texture=tiled("wood-walnut", 0.3),
-        roughness=0.35,
-        coat=0.5,
-    )
+    wood = patterned("wood", "wood-walnut", 0.3, 0.35, coat=0.5)
     return [(lathe(profile), wood if rng.random() < 0.5 else paint(rng))]
 
 

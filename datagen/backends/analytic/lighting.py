@@ -17,16 +17,20 @@ def check_lights(rig: LightRig, scene: SceneSpec) -> None:
     """Raise `BackendError` naming the first light that has no closed form here."""
     for light in rig.lights:
         match light:
-            case SunLight() | PointLight() | SpotLight() | EnvironmentLight(map=None):
+            case SunLight() | PointLight(profile=None) | SpotLight(gobo=None) | EnvironmentLight(map=None):
                 continue
             case EmissiveLight(body=name) if name not in [body.name for body in scene.bodies]:
                 raise BackendError(f"light {light.name!r} glows on {name!r}, which the scene does not hold")
-            case EmissiveLight(body=name) if isinstance(scene.body(name).geometry, Sphere):
+            case EmissiveLight(body=name, texture=None) if isinstance(scene.body(name).geometry, Sphere):
                 continue
             case EnvironmentLight():
                 reason = f"the environment map {light.map!r}: the analytic renderer knows uniform ones only"
+            case PointLight():
+                reason = "an intensity profile: the analytic renderer knows even points only"
+            case SpotLight():
+                reason = f"the gobo {light.gobo!r}: the analytic renderer projects no images"
             case EmissiveLight():
-                reason = f"the glowing body {light.body!r}: the analytic renderer lets only spheres glow"
+                reason = f"the glowing body {light.body!r}: the analytic renderer lets only spheres glow, evenly"
             case _:
                 reason = f"the kind {light.kind!r}, which has no closed form in the analytic renderer"
         raise BackendError(f"light {light.name!r} has {reason}; use the renderer cycles for it")

@@ -62,12 +62,12 @@ class BlenderBackend:
             case "without":
                 assert name is not None
                 with _hidden(synced, name):
-                    return _stack(_beauty(job.settings), job.rig)
+                    return _stack(_beauty(synced, job.settings), job.rig)
             case "foreground":
                 assert name is not None
                 return _render_foreground(synced, job, name)
             case _:
-                passes = _beauty(job.settings)
+                passes = _beauty(synced, job.settings)
                 return _stack(passes, job.rig, geometry=_geometry(camera, passes))
 
     def _sync(self, job: RenderJob) -> SyncedScene:
@@ -76,13 +76,55 @@ class BlenderBackend:
             self._key, BlenderBackend._holder = None, self
             self._synced = SyncedScene(job.scene, job.rig, self._library)
             configure(job.settings, job.rig.names)
+            _settle(self._synced)
             self._key, self._seeds = key, int(job.scene.sha256()[:8], 16)
         return self._synced
 
 
-def _beauty(settings: RenderSettings) -> Passes:
+def _settle(synced: SyncedScene) -> None:
+    """Render a few pixels with a body hidden, and throw them away.
+
+    The first change of visibility puts Cycles' lamps into another order, and with it the random choices of
+    every later render: the variants rendered before it would share no random numbers with those after it.
+    """
+    scene = bpy.context.scene
+    size = scene.render.resolution_x, scene.render.resolution_y
+    scene.render.resolution_x = scene.render.resolution_y = 4
+    beauty_filter(1)
+    with _hidden(synced, next(iter(synced.objects))):
+        render_passes()
+    scene.render.resolution_x, scene.render.resolution_y = size
+
+
+def _beauty(synced: SyncedScene, settings: RenderSettings) -> Passes:
+    """Render all lights: what one world can hold at once, then each further environment with the lamps off.
+
+    A glowing body stays on in those renders, since its material is not touched; its light falls into its own
+    group and is left out.
+    """
     beauty_filter(settings.spp)
-    return render_passes()
+    passes = render_passes()
+    for world in synced.further_worlds:
+        with _lit_by(synced, world):
+            layer = render_passes()[f"Combined_{world.lightgroup}"]
+        passes[f"Combined_{world.lightgroup}"] = layer
+        passes["Combined"][..., :3] += layer[..., :3]
+    return passes
+
+
+@contextlib.contextmanager
+def _lit_by(synced: SyncedScene, world: bpy.types.World) -> Iterator[None]:
+    """Let another environment light the scene, without any lamp."""
+    scene = bpy.context.scene
+    first, scene.world = scene.world, world
+    for lamp in synced.lamps:
+        lamp.hide_render = True
+    try:
+        yield
+    finally:
+        scene.world = first
+        for lamp in synced.lamps:
+            lamp.hide_render = False
 
 
 def _stack(
@@ -139,7 +181,7 @@ def _render_foreground(synced: SyncedScene, job: RenderJob, name: str) -> LayerS
     if border is None:
         return _unseen(camera, job.rig)
     with _alone(synced, name), _bordered(camera, border):
-        passes = _beauty(job.settings)
+        passes = _beauty(synced, job.settings)
     return _stack(passes, job.rig, coverage=np.clip(passes["Combined"][..., 3], 0, 1))
 
 

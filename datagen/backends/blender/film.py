@@ -72,10 +72,11 @@ def beauty_filter(spp: int) -> None:
 
 
 def centre_filter() -> None:
-    """Take one sample through each pixel's centre, to half a hundredth of a pixel."""
+    """Take one sample through each pixel's centre, to half a hundredth of a pixel, and through a pinhole."""
     cycles = bpy.context.scene.cycles
     # A box filter would ignore the width.
     cycles.samples, cycles.pixel_filter_type, cycles.filter_width = 1, "GAUSSIAN", 0.01
+    bpy.context.scene.camera.data.dof.use_dof = False  # `place_camera` opens the lens again
 
 
 def render_passes() -> Passes:

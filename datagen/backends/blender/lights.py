@@ -8,9 +8,11 @@ import math
 from typing import Any
 
 import bpy
+import numpy as np
 from mathutils import Matrix, Vector
 
 from datagen.backends.blender.materials import load_image
+from lights.frames import spot_frame
 from lights.spec import AreaLight, EnvironmentLight, PointLight, SpotLight, SunLight
 from scenes.assets.library import AssetLibrary
 from scenes.frozen import Vector3
@@ -19,7 +21,7 @@ INTENSITY_TO_WATTS = 4 * math.pi
 """Watts of a Blender point or spot light per W/sr on its axis."""
 
 
-def add_light(light: SunLight | PointLight | SpotLight | AreaLight) -> None:
+def add_light(light: SunLight | PointLight | SpotLight | AreaLight, library: AssetLibrary) -> bpy.types.Object:
     """Add a light in its own light group: unseen by the camera, seen in reflections where it has a size."""
     match light:
         case SunLight():
@@ -30,11 +32,16 @@ def add_light(light: SunLight | PointLight | SpotLight | AreaLight) -> None:
             data = _data(light.name, "POINT", light.intensity, INTENSITY_TO_WATTS)
             data.shadow_soft_size, data.use_soft_falloff = light.radius, False
             pose = Matrix.Translation(light.position)
+            if light.profile is not None:
+                _shape(data, light.direction, light.profile)
         case SpotLight():
             data = _data(light.name, "SPOT", light.intensity, INTENSITY_TO_WATTS)
             data.shadow_soft_size, data.use_soft_falloff = light.radius, False
             data.spot_size, data.spot_blend = 2 * light.half_angle, light.blend
-            pose = Matrix.Translation(light.position) @ _facing(light.direction)
+            frame = Matrix(spot_frame(light.direction, light.roll).tolist()).to_4x4()
+            pose = Matrix.Translation(light.position) @ frame
+            if light.gobo is not None:
+                _project(data, load_image(library.texture_path(light.gobo), "Non-Color"))
         case AreaLight():
             data = _area(light)
             pose = Matrix(light.world_from_light)
@@ -43,10 +50,11 @@ def add_light(light: SunLight | PointLight | SpotLight | AreaLight) -> None:
     placed.visible_camera = False
     placed.lightgroup = light.name
     bpy.context.scene.collection.objects.link(placed)
+    return placed
 
 
-def set_world(light: EnvironmentLight | None, library: AssetLibrary) -> None:
-    """Light the scene from infinity, in a light group of its own; without a light, leave it black."""
+def make_world(light: EnvironmentLight | None, library: AssetLibrary) -> bpy.types.World:
+    """Make a world that lights the scene from infinity, in a light group of its own; without a light, a black one."""
     world = bpy.data.worlds.new("world")
     if world.node_tree is None:
         world.use_nodes = True
@@ -59,7 +67,7 @@ def set_world(light: EnvironmentLight | None, library: AssetLibrary) -> None:
         world.lightgroup = light.name
         if light.map is not None:
             tree.links.new(_map_colour(tree, light, library), background.inputs["Color"])
-    bpy.context.scene.world = world
+    return world
 
 
 def _map_colour(tree: Any, light: EnvironmentLight, library: AssetLibrary) -> Any:
@@ -97,3 +105,68 @@ def _data(name: str, kind: str, colour: Vector3, energy: float) -> Any:
 def _facing(direction: Vector3) -> Matrix:
     """Rotate so that the light's -Z runs along the direction."""
     return Vector(direction).to_track_quat("-Z", "Y").to_matrix().to_4x4()
+
+
+def _shape(data: Any, direction: Vector3, profile: tuple[float, ...]) -> None:
+    """Multiply a point light by its profile: the table as an image of one row, looked up at the angle of emission.
+
+    Linear filtering between the pixels' middles is the spec's own interpolation, to the last digit.
+    """
+    tree, strength = _emission(data)
+    table = bpy.data.images.new(f"{data.name} profile", len(profile), 1, alpha=True, float_buffer=True)
+    table.colorspace_settings.name = "Non-Color"
+    table.pixels.foreach_set(np.repeat(np.array(profile, np.float32), 4))
+    table.pack()
+    # "Incoming" runs from the lamp to what it lights.
+    leaving = tree.nodes.new("ShaderNodeNewGeometry").outputs["Incoming"]
+    cosine = _dot(tree, leaving, Vector(direction).normalized())
+    angle = _scalar(tree, "ARCCOSINE", cosine)
+    count = len(profile)
+    place = _scalar(tree, "MULTIPLY_ADD", angle, (count - 1) / (math.pi * count), 0.5 / count)
+    where = tree.nodes.new("ShaderNodeCombineXYZ")
+    tree.links.new(place, where.inputs["X"])
+    where.inputs["Y"].default_value = 0.5
+    tree.links.new(_picture(tree, table, where.outputs["Vector"]), strength)
+
+
+def _project(data: Any, image: bpy.types.Image) -> None:
+    """Multiply a spot by an image; Cycles' own coordinates of a spot span the square round its cone."""
+    tree, strength = _emission(data)
+    where = tree.nodes.new("ShaderNodeTexCoord").outputs["UV"]
+    tree.links.new(_picture(tree, image, where), strength)
+
+
+def _emission(data: Any) -> tuple[Any, Any]:
+    """Give a light nodes and return its tree and the colour input that multiplies its power."""
+    if data.node_tree is None:
+        data.use_nodes = True
+    tree = data.node_tree
+    tree.nodes.clear()
+    emission = tree.nodes.new("ShaderNodeEmission")
+    tree.links.new(emission.outputs["Emission"], tree.nodes.new("ShaderNodeOutputLight").inputs["Surface"])
+    return tree, emission.inputs["Color"]
+
+
+def _picture(tree: Any, image: bpy.types.Image, where: Any) -> Any:
+    """Look an image up with linear filtering; past its border it goes on as there."""
+    node = tree.nodes.new("ShaderNodeTexImage")
+    node.image, node.interpolation, node.extension = image, "Linear", "EXTEND"
+    tree.links.new(where, node.inputs["Vector"])
+    return node.outputs["Color"]
+
+
+def _dot(tree: Any, vector: Any, other: Vector) -> Any:
+    node = tree.nodes.new("ShaderNodeVectorMath")
+    node.operation = "DOT_PRODUCT"
+    tree.links.new(vector, node.inputs[0])
+    node.inputs[1].default_value = other
+    return node.outputs["Value"]
+
+
+def _scalar(tree: Any, operation: str, value: Any, *more: float) -> Any:
+    node = tree.nodes.new("ShaderNodeMath")
+    node.operation = operation
+    tree.links.new(value, node.inputs[0])
+    for socket, number in zip(node.inputs[1:], more, strict=False):
+        socket.default_value = number
+    return node.outputs["Value"]

@@ -7,8 +7,8 @@ import bpy
 
 from datagen.backends import BackendError
 from datagen.backends.blender.meshes import UV_LAYER
+from lights.spec import EmissiveLight
 from scenes.assets.library import AssetLibrary
-from scenes.frozen import Rgb
 from scenes.spec import Material, Texture
 
 ALBEDO_AOV = "albedo"
@@ -21,17 +21,17 @@ class Materials:
 
     def __init__(self, library: AssetLibrary) -> None:
         self._library = library
-        self._made: dict[tuple[Material, Rgb | None], bpy.types.Material] = {}
+        self._made: dict[tuple[Material, EmissiveLight | None], bpy.types.Material] = {}
         self._images: dict[tuple[str, str], bpy.types.Image] = {}
 
-    def get(self, material: Material, emission: Rgb | None = None) -> bpy.types.Material:
-        """Return the shader; `emission` [W/(m² sr)] is added to what the surface reflects."""
+    def get(self, material: Material, emission: EmissiveLight | None = None) -> bpy.types.Material:
+        """Return the shader; the radiance of `emission` is added to what the surface reflects."""
         key = (material, emission)
         if key not in self._made:
             self._made[key] = self._build(material, emission)
         return self._made[key]
 
-    def _build(self, material: Material, emission: Rgb | None) -> bpy.types.Material:
+    def _build(self, material: Material, emission: EmissiveLight | None) -> bpy.types.Material:
         made = bpy.data.materials.new(material.name)
         # A material made through the data API starts without nodes in Blender 4 and with them in 5.
         if made.node_tree is None:
@@ -64,7 +64,7 @@ class Materials:
             tree.links.new(bumps.outputs["Normal"], surface.inputs["Normal"])
         shader = surface.outputs["BSDF"]
         if emission is not None:
-            shader = _add_emission(tree, shader, emission, alpha)
+            shader = _add_emission(tree, shader, self._glow(tree, emission), alpha)
             made.cycles.emission_sampling = "FRONT_BACK"
         _node(tree, "ShaderNodeOutputMaterial", {"Surface": shader})
         _write_aovs(tree, color, (roughness, material.metallic), alpha)
@@ -79,6 +79,13 @@ class Materials:
         if material.opacity_from_alpha:
             alpha = _math(tree, "MULTIPLY", texture.outputs["Alpha"], material.opacity)
         return color.outputs["Vector"], alpha
+
+    def _glow(self, tree: Any, light: EmissiveLight) -> Any:
+        """Return the radiance of a glowing part: one value, or times its texture."""
+        if light.texture is None:
+            return light.radiance
+        colour = self._texture(tree, light.texture, "sRGB").outputs["Color"]
+        return _node(tree, "ShaderNodeVectorMath", {0: colour, 1: light.radiance}, "MULTIPLY").outputs["Vector"]
 
     def _texture(self, tree: Any, texture: Texture, colour_space: str) -> Any:
         uv = _node(tree, "ShaderNodeUVMap", {})
@@ -108,7 +115,7 @@ def load_image(path: Path, colour_space: str) -> bpy.types.Image:
     return image
 
 
-def _add_emission(tree: Any, shader: Any, emission: Rgb, alpha: Any) -> Any:
+def _add_emission(tree: Any, shader: Any, emission: Any, alpha: Any) -> Any:
     """Add emission beside the Principled BSDF, whose own a coat would dim; a cut-out does not glow."""
     glow = _node(tree, "ShaderNodeEmission", {"Color": emission, "Strength": alpha})
     total = _node(tree, "ShaderNodeAddShader", {0: shader, 1: glow.outputs["Emission"]})

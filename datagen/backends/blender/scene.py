@@ -13,13 +13,14 @@ from datagen.backends.blender import meshes
 from datagen.backends.blender.materials import Materials
 from lights.spec import EmissiveLight, EnvironmentLight, LightRig
 from scenes.assets.library import AssetLibrary
+from scenes.cameras import circle_of_confusion
 from scenes.spec import Body, Camera, MeshAsset, Rectangle, SceneSpec, Sphere
 
 _SENSOR_WIDTH = 36.0
 
 
 class SyncedScene:
-    """A scene as Blender holds it: the objects of each body, and the body's box in the world."""
+    """A scene as Blender holds it: the objects of each body, its lamps, and environments beyond the first."""
 
     def __init__(self, scene: SceneSpec, rig: LightRig, library: AssetLibrary) -> None:
         """Empty Blender's file and build the scene anew, from data only."""
@@ -33,13 +34,15 @@ class SyncedScene:
         for number, body in enumerate(scene.bodies, start=1):
             glows = {light.part: light for light in emissive if light.body == body.name}
             self.objects[body.name] = self._add_body(body, number, glows)
-        world = None
+        self.lamps: list[bpy.types.Object] = []
+        worlds = []
         for light in rig.lights:
             if isinstance(light, EnvironmentLight):
-                world = light
+                worlds.append(blender_lights.make_world(light, library))
             elif not isinstance(light, EmissiveLight):
-                blender_lights.add_light(light)
-        blender_lights.set_world(world, library)
+                self.lamps.append(blender_lights.add_light(light, library))
+        # Blender lights a scene from one world at a time; the others get renders of their own.
+        bpy.context.scene.world, *self.further_worlds = worlds or [blender_lights.make_world(None, library)]
         camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
         bpy.context.scene.collection.objects.link(camera)
         bpy.context.scene.camera = camera
@@ -73,7 +76,7 @@ class SyncedScene:
         scale = body.geometry.radius if isinstance(body.geometry, Sphere) else 1.0
         placed.matrix_world = Matrix(body.world_from_body) @ Matrix.Diagonal((scale, scale, scale, 1.0))
         for slot, part in enumerate(parts):
-            shader = self._materials.get(body.materials[part], light.radiance if light else None)
+            shader = self._materials.get(body.materials[part], light)
             # Slots belong to the object, so that bodies may share a mesh and yet differ in material.
             placed.material_slots[slot].link = "OBJECT"
             placed.material_slots[slot].material = shader
@@ -137,6 +140,11 @@ def place_camera(camera: Camera) -> None:
     data.shift_x = (camera.width / 2 - camera.cx) / camera.width
     data.shift_y = (camera.cy - camera.height / 2) * (camera.fx / camera.fy) / camera.width
     data.clip_start, data.clip_end = 1e-4, 1e5
+    data.dof.use_dof = camera.aperture_radius > 0
+    if camera.aperture_radius > 0:
+        data.dof.focus_distance = camera.focus_distance
+        # Cycles makes the lens's radius from the focal length: lens / (2 fstop), in millimetres.
+        data.dof.aperture_fstop = data.lens / 1000.0 / (2.0 * camera.aperture_radius)
 
 
 def projected_border(camera: Camera, corners: NDArray[np.float64]) -> tuple[int, int, int, int] | None:
@@ -150,7 +158,8 @@ def projected_border(camera: Camera, corners: NDArray[np.float64]) -> tuple[int,
         return (0, 0, camera.width, camera.height)
     x = camera.cx - camera.fx * local[:, 0] / local[:, 2]
     y = camera.cy + camera.fy * local[:, 1] / local[:, 2]
-    margin = 2
+    # Out of focus, an object spreads over its outline by half a disc of confusion.
+    margin = 2 + int(np.ceil(circle_of_confusion(camera, -local[:, 2]).max() / 2.0))
     left, right = max(0, int(x.min()) - margin), min(camera.width, int(x.max()) + 1 + margin)
     top, bottom = max(0, int(y.min()) - margin), min(camera.height, int(y.max()) + 1 + margin)
     return (left, top, right, bottom) if left < right and top < bottom else None

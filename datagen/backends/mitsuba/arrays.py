@@ -3,7 +3,7 @@
 Everything that differs from scene to scene is data here, so that one compiled kernel renders them all.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -40,6 +40,19 @@ class SceneArrays:
     texels: UInt32
     see_through: bool
     glass: bool
+
+    def of_bodies(self, names: Iterable[str]) -> NDArray[np.bool_]:
+        """Tell which triangles belong to some bodies, (F,) bool."""
+        mine = np.zeros(len(self.faces), bool)
+        for name in names:
+            first, count = self.spans[name]
+            mine[first : first + count] = True
+        return mine
+
+    def let_light_through(self) -> NDArray[np.bool_]:
+        """Tell which triangles are, or may be, less than opaque, (F,) bool."""
+        rows = (self.values[:, 3] < 1) | (self.links[:, 7] != 0)
+        return rows[self.faces[:, 3]]
 
 
 class Textures:

@@ -84,15 +84,16 @@ class MitsubaBackend:
         bits = np.zeros(len(scene.bodies) + 1, np.uint32)
         for place, name in enumerate(scene.insertable):
             bits[scene.instance_id(name)] = 1 << place
-        every = frozenset(arrays.spans)
-        fixed = build(arrays, every - set(scene.insertable))
+        seen = on_device(mi.UInt32, bits)
+        changing = arrays.of_bodies(scene.insertable) | arrays.let_light_through()
+        fixed = build(arrays, ~changing)
 
         def world(removed: str | None) -> World:
-            whole = build(arrays, every - {removed})
+            there = ~arrays.of_bodies([] if removed is None else [removed])
+            whole = build(arrays, there)
             if whole is None:
                 raise BackendError(f"the scene has no triangles without {removed!r}")
-            movable = build(arrays, set(scene.insertable) - {removed})
-            return World(whole, fixed, movable, surfaces, emitters, self._tables, on_device(mi.UInt32, bits))
+            return World(whole, fixed, build(arrays, changing & there), surfaces, emitters, self._tables, seen)
 
         return {removed: world(removed) for removed in (None, *scene.insertable)}
 

@@ -27,13 +27,13 @@ LIGHT, LOBE, DIRECTION, ROULETTE, OPACITY = 16, 0, 1, 2, 3
 class World:
     """What paths run through: triangles (with or without a body), surfaces, lights.
 
-    `fixed` are the bodies that stay in every variant and `movable` the insertable ones that are there: light that
-    is blocked by the former is blocked whatever is removed.
+    `fixed` are the opaque triangles that stay in every variant, `changing` the others that are there, insertable or
+    see-through: light that is blocked by the former is blocked whatever is removed.
     """
 
     whole: Soup
     fixed: Soup | None
-    movable: Soup | None
+    changing: Soup | None
     surfaces: Surfaces
     emitters: list[Emitter]
     tables: bsdf.Tables
@@ -73,27 +73,27 @@ def _blocked(world: World, hit: Hit, found: Sample, active: mi.Bool) -> tuple[mi
     way = hit.p + found.d * found.distance - o
     distance = dr.norm(way)
     ray = mi.Ray3f(o, way / distance, distance * (1 - dr.epsilon(mi.Float) * 15000), 0.0, mi.Color0f())
-    if world.surfaces.see_through:
-        return _dimmed(world, ray, active)
     free = mi.Bool(active)
     if world.fixed is not None:
         free &= ~world.fixed.scene.ray_test(ray, active=active)
-    if world.movable is None:
+    if world.changing is None:
         return dr.select(free, mi.Float(1), 0), mi.UInt32(0)
-    first = world.movable.scene.ray_intersect_preliminary(ray, active=free)
+    if world.surfaces.see_through:
+        return _dimmed(world, world.changing, ray, free)
+    first = world.changing.scene.ray_intersect_preliminary(ray, active=free)
     stopped = free & first.is_valid()
-    body = world.surfaces.body(world.movable.face(first, stopped), stopped)
+    body = world.surfaces.body(world.changing.face(first, stopped), stopped)
     met = dr.select(stopped, dr.gather(mi.UInt32, world.bits, body, stopped), 0)
     return dr.select(free & ~stopped, mi.Float(1), 0), met
 
 
-def _dimmed(world: World, ray: mi.Ray3f, active: mi.Bool) -> tuple[mi.Float, mi.UInt32]:
-    """`_blocked` where surfaces may be see-through: each lets its share pass."""
+def _dimmed(world: World, changing: Soup, ray: mi.Ray3f, active: mi.Bool) -> tuple[mi.Float, mi.UInt32]:
+    """`_blocked` by triangles that may be see-through: each lets its share pass."""
 
     def step(active, o, left, passed, met, count):  # type: ignore[no-untyped-def]
-        found = world.whole.scene.ray_intersect_preliminary(mi.Ray3f(o, ray.d, left, 0.0, mi.Color0f()), active=active)
+        found = changing.scene.ray_intersect_preliminary(mi.Ray3f(o, ray.d, left, 0.0, mi.Color0f()), active=active)
         hit = active & found.is_valid()
-        face = world.whole.face(found, hit)
+        face = changing.face(found, hit)
         body = world.surfaces.body(face, hit)
         met |= dr.select(hit, dr.gather(mi.UInt32, world.bits, body, hit), 0)
         passed *= dr.select(hit, 1 - world.surfaces.opacity(face, found.prim_uv, hit), 1)
@@ -103,7 +103,8 @@ def _dimmed(world: World, ray: mi.Ray3f, active: mi.Bool) -> tuple[mi.Float, mi.
         count += 1
         return hit & (passed > 0) & (left > 0) & (count < SEE_THROUGH_SURFACES), o, left, passed, met, count
 
-    state = (mi.Bool(active), mi.Point3f(ray.o), mi.Float(ray.maxt), mi.Float(1), mi.UInt32(0), mi.UInt32(0))
+    passed = dr.select(active, mi.Float(1), 0)
+    state = (mi.Bool(active), mi.Point3f(ray.o), mi.Float(ray.maxt), passed, mi.UInt32(0), mi.UInt32(0))
     state = dr.while_loop(state, lambda *s: s[0], step, label="shadow")
     return state[3], state[4]
 

@@ -1,11 +1,11 @@
 """What a ray hits: triangles, their surfaces' numbers and textures, looked up in arrays on the device."""
 
-from collections.abc import Collection
 from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
 
 from datagen.backends.mitsuba.arrays import NONE, SceneArrays
 from datagen.backends.mitsuba.device import on_device
@@ -203,12 +203,11 @@ class Soup:
         return dr.gather(mi.UInt32, self.original, found.prim_index, active)
 
 
-def build(arrays: SceneArrays, bodies: Collection[str]) -> Soup | None:
-    """Build an acceleration structure over some bodies; None where they have no triangles."""
-    chosen = [np.arange(first, first + count) for name, (first, count) in arrays.spans.items() if name in bodies]
-    if not chosen:
+def build(arrays: SceneArrays, chosen: NDArray[np.bool_]) -> Soup | None:
+    """Build an acceleration structure over the chosen triangles; None where there are none."""
+    original = np.flatnonzero(chosen).astype(np.uint32)
+    if not original.size:
         return None
-    original = np.concatenate(chosen).astype(np.uint32)
     mesh = mi.Mesh("scene", vertex_count=len(arrays.vertices), face_count=len(original))
     parameters = mi.traverse(mesh)
     parameters["vertex_positions"] = on_device(mi.Float, arrays.vertices[:, :3])

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from trimesh import Trimesh
 
 from datagen.backends.mitsuba.arrays import Float32, Textures, glowing_parts, parts_of, place_part
-from datagen.backends.mitsuba.scalar.lights import emitters
+from datagen.backends.mitsuba.scalar.lights import Emitters, emitters
 from datagen.backends.mitsuba.scalar.materials import coloured, surface
 from lights.spec import EmissiveLight, LightRig
 from scenes.assets.library import AssetLibrary
@@ -35,6 +35,7 @@ class Worlds:
                 self._shapes[key] = _mesh(*self._placed[key], self._surfaces[key])
         points = np.concatenate([vertices[:, :3] for vertices, _ in self._placed.values()])
         self._bounds = np.stack([points.min(axis=0), points.max(axis=0)]).astype(np.float64)
+        self._lights: dict[int, Emitters] = {}
         self._made: dict[tuple[int, str | None], mi.Scene | None] = {}
 
     def lit(self, number: int, removed: str | None = None) -> mi.Scene | None:
@@ -46,29 +47,32 @@ class Worlds:
 
     def _make(self, number: int, removed: str | None) -> mi.Scene | None:
         light = self._rig.lights[number]
-        parts: dict[str, Any] = {"type": "scene"}
-        for place, (key, shape) in enumerate(self._shapes.items()):
-            if key[0] != removed:
-                parts[f"shape{place}"] = shape
-        if not isinstance(light, EmissiveLight):
-            return mi.load_dict(parts | emitters(light, self._library, self._bounds))
-        if light.body == removed:
+        if isinstance(light, EmissiveLight) and light.body == removed:
             return None
-        place = list(self._shapes).index((light.body, light.part))
-        parts[f"shape{place}"], *more = self._glowing(light)
-        return mi.load_dict(parts | {f"inside{i}": shape for i, shape in enumerate(more)})
+        shapes = {_id(*key): shape for key, shape in self._shapes.items() if key[0] != removed}
+        if number not in self._lights:
+            self._lights[number] = (
+                self._glowing(light)
+                if isinstance(light, EmissiveLight)
+                else emitters(light, self._library, self._bounds)
+            )
+        return mi.load_dict({"type": "scene"} | shapes | self._lights[number])
 
-    def _glowing(self, light: EmissiveLight) -> list[mi.Mesh]:
+    def _glowing(self, light: EmissiveLight) -> Emitters:
         """Make a part that shines; Mitsuba's emitters have one side, so a sheet gets a second behind it."""
         key = (light.body, light.part)
         vertices, faces = self._placed[key]
         radiance = coloured(light.texture, light.radiance, self._textures)
-        sides = [_mesh(vertices, faces, self._surfaces[key], radiance)]
+        sides = {_id(*key): _mesh(vertices, faces, self._surfaces[key], radiance)}
         if not Trimesh(vertices[:, :3], faces).is_watertight:
             behind = vertices * np.array([1, 1, 1, -1, -1, -1, 1, 1], np.float32)
             behind[:, :3] += behind[:, 3:6] * np.float32(INNER_SIDE)
-            sides.append(_mesh(behind, faces[:, ::-1], self._surfaces[key], radiance))
+            sides["behind"] = _mesh(behind, faces[:, ::-1], self._surfaces[key], radiance)
         return sides
+
+
+def _id(body: str, part: int) -> str:
+    return f"{body}/{part}"
 
 
 def _mesh(

@@ -1,0 +1,69 @@
+"""A dataset's assets, with the scene file it is set in; `.blend` files are converted by a Blender of their own."""
+
+import hashlib
+import os
+import subprocess
+import sys
+import uuid
+from pathlib import Path
+
+from datagen.config import DatasetConfig
+from scenes.assets.cache import default_cache, sources_key
+from scenes.assets.library import AssetError, AssetLibrary
+from scenes.custom import background_bodies, find_places
+
+SECONDS = 600
+"""Longest that the conversion of a .blend file may take."""
+_CONVERTER = "datagen.backends.blender.convert"
+
+
+def open_library(config: DatasetConfig, folders: tuple[Path, ...] = ()) -> AssetLibrary:
+    """Open the assets a dataset draws from; raises `AssetError` where the background cannot be read."""
+    background = config.background
+    if background is not None and background.suffix.lower() == ".blend":
+        background = converted_blend(background, default_cache())
+    return AssetLibrary(folders=folders, background=background)
+
+
+def check_background(config: DatasetConfig) -> None:
+    """Convert the background, and see that it has surfaces, before any worker starts.
+
+    Raises `AssetError` in one line with the file, what is wrong and the remedy.
+    """
+    if config.background is not None:
+        library = open_library(config)
+        find_places(background_bodies(library), library)
+
+
+def converted_blend(file: Path, cache: Path) -> Path:
+    """Return a GLB of a .blend file, converted on the first call in a process of its own that runs no script in it.
+
+    Raises `AssetError` where Blender cannot open it.
+    """
+    if not file.is_file():
+        raise AssetError(f"background {file} does not exist; name a GLB, glTF, USD or .blend file")
+    # By what it is, not by where it lies: a copy on another machine gives the same scene.
+    digest = hashlib.sha256(
+        file.read_bytes() + sources_key(str(Path(__file__).parent / "backends" / "blender" / "convert.py")).encode()
+    )
+    target = cache / "backgrounds" / f"blend-{digest.hexdigest()[:32]}" / f"{file.stem}.glb"
+    if target.is_file():
+        return target
+    target.parent.mkdir(parents=True, exist_ok=True)
+    work = target.with_name(f".{uuid.uuid4().hex}.glb")
+    command = [sys.executable, "-m", _CONVERTER, str(file.resolve()), str(work)]
+    try:
+        root = str(Path(__file__).parents[1])
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, [root, os.environ.get("PYTHONPATH")]))}
+        done = subprocess.run(command, capture_output=True, text=True, timeout=SECONDS, env=environment, check=False)
+        if not work.is_file():
+            said = [line for line in done.stderr.splitlines() if line.strip()] or [f"exit code {done.returncode}"]
+            raise AssetError(
+                f"{file} cannot be converted ({said[-1].strip()}); open and save it in Blender 4.5 or newer"
+            )
+        work.replace(target)
+    except subprocess.TimeoutExpired:
+        raise AssetError(f"{file} took Blender more than {SECONDS} s to convert; export it as GLB") from None
+    finally:
+        work.unlink(missing_ok=True)
+    return target

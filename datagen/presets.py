@@ -1,0 +1,55 @@
+"""Presets: named starting points of a configuration, as the values that differ from its defaults."""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+Preset = Literal["tabletop", "room", "outdoor", "studio", "mixed", "smoke"]
+
+
+@dataclass(frozen=True)
+class PresetValues:
+    """What a preset is for, and its values."""
+
+    meaning: str
+    values: dict[str, Any]
+
+
+PRESETS: dict[Preset, PresetValues] = {
+    "tabletop": PresetValues("still lifes on tables", {"kind": "tabletop"}),
+    "room": PresetValues(
+        "furnished rooms",
+        {"kind": "room", "lights": (2, 8), "cameras": {"lens_mm": (24.0, 50.0)}},
+    ),
+    "outdoor": PresetValues(
+        "open ground under a sky",
+        {"kind": "outdoor", "lights": (1, 4), "cameras": {"depth_of_field": 0.2}},
+    ),
+    "studio": PresetValues(
+        "a photographer's studio: key, fill and rim lights, longer lenses, some with a shallow focus",
+        {"kind": "studio", "lights": (2, 8), "cameras": {"lens_mm": (35.0, 85.0), "depth_of_field": 0.3}},
+    ),
+    "mixed": PresetValues(
+        "all kinds; open ground is held out for the out-of-domain test",
+        {
+            "kind": "mixed",
+            "kinds": {"tabletop": 0.4, "room": 0.4, "outdoor": 0.0, "studio": 0.2},
+            "ood_kinds": ("outdoor",),
+            "splits": {"train": 0.75, "val": 0.08, "test": 0.09, "test_ood": 0.08},
+            "cameras": {"depth_of_field": 0.15},
+        },
+    ),
+    "smoke": PresetValues(
+        "the smallest dataset that shows everything works: a minute or two",
+        {
+            "scenes": 2,
+            "width": 64,
+            "height": 64,
+            "views": 4,
+            "spp": 4,
+            "conditions": 4,
+            "insertable": 2,
+            "objects": (3, 4),
+            "lights": (2, 3),
+        },
+    ),
+}

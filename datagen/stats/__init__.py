@@ -1,0 +1,1 @@
+"""How varied a dataset is: histograms, coverage, leaks between splits and near-duplicate scenes."""

@@ -1,0 +1,117 @@
+"""Measure a dataset on disk, or scenes that are only sampled, and sum up."""
+
+import itertools
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from datagen.config import DatasetConfig
+from datagen.errors import UserError
+from datagen.produce import sample_scene
+from datagen.stats.duplicates import Bits, Pair, alike_in_content, alike_in_picture, picture_hash
+from datagen.stats.facts import SceneFacts, scene_facts
+from datagen.stats.pictures import picture_values
+from datagen.stats.quantities import QUANTITIES, Coverage, Quantity, Value, coverage_of
+from datagen.store import read_scene, scene_dir, scene_indices
+from scenes.assets.library import AssetLibrary
+from scenes.splits import SPLITS, Split
+from scenes.streams import Streams
+
+Report = Callable[[float, float], None]
+
+
+@dataclass(frozen=True)
+class Leak:
+    """A model or place that two splits share."""
+
+    what: str
+    splits: tuple[Split, Split]
+
+
+@dataclass(frozen=True)
+class Summary:
+    """A dataset in numbers: coverage by quantity (those with values only), leaks and near-duplicates."""
+
+    title: str
+    scenes: int
+    values: dict[str, list[Value]]
+    coverage: dict[str, Coverage]
+    leaks: tuple[Leak, ...]
+    duplicates: tuple[Pair, ...]
+    quantities: tuple[Quantity, ...] = field(default=())
+
+    def as_json(self) -> dict[str, Any]:
+        """Return what `stats.json` holds: bins, counts and quantiles of each quantity, leaks, duplicates."""
+        return {
+            "title": self.title,
+            "scenes": self.scenes,
+            "quantities": [
+                {"key": q.key, "title": q.title, "unit": q.unit, "values": len(self.values[q.key])}
+                | {"quantiles": quantiles(self.values[q.key]) if q.edges else None, "edges": q.edges}
+                | asdict(self.coverage[q.key])
+                for q in self.quantities
+            ],
+            "leaks": [asdict(leak) for leak in self.leaks],
+            "duplicates": [asdict(pair) for pair in self.duplicates],
+        }
+
+
+def quantiles(values: list[Value]) -> dict[str, float]:
+    """Return the 5th, 50th and 95th percentile of numbers."""
+    low, middle, high = np.percentile(np.array(values, np.float64), [5, 50, 95])
+    return {"p5": round(float(low), 5), "p50": round(float(middle), 5), "p95": round(float(high), 5)}
+
+
+def measure_dataset(root: Path, library: AssetLibrary, report: Report) -> Summary:
+    """Measure every finished scene of a dataset; raises `UserError` where there is none."""
+    indices = scene_indices(root)
+    if not indices:
+        raise UserError(f"{root} holds no finished scene; make some with: multilight dataset --out {root}")
+    facts, hashes = [], []
+    for number, index in enumerate(indices):
+        record = read_scene(scene_dir(root, index))
+        found = scene_facts(record.scene, record.rig, record.split, library)
+        facts.append(replace(found, values=found.values | picture_values(scene_dir(root, index), record)))
+        with Image.open(scene_dir(root, index) / "preview.png") as preview:
+            hashes.append(picture_hash(preview))
+        report(number + 1, len(indices))
+    return summarize(f"{root.name}: {len(facts)} scenes", facts, hashes)
+
+
+def measure_samples(config: DatasetConfig, count: int, library: AssetLibrary, report: Report) -> Summary:
+    """Sample the first `count` scenes of a configuration, without rendering, and measure them."""
+    facts = []
+    for index in range(count):
+        scene, rig = sample_scene(config, library, Streams(config.seed, index))
+        facts.append(scene_facts(scene, rig, config.split_of(index), library))
+        report(index + 1, count)
+    return summarize(f"{count} sampled scenes, kind {config.kind}, seed {config.seed}", facts, [])
+
+
+def summarize(title: str, facts: list[SceneFacts], hashes: list[Bits]) -> Summary:
+    """Sum up measured scenes; `hashes` are those of their previews, or empty."""
+    values = {q.key: [v for scene in facts for v in scene.values.get(q.key, ())] for q in QUANTITIES}
+    quantities = tuple(q for q in QUANTITIES if values[q.key])
+    indices = [scene.index for scene in facts]
+    pairs = alike_in_content(indices, [scene.tokens for scene in facts])
+    return Summary(
+        title=title,
+        scenes=len(facts),
+        values=values,
+        coverage={q.key: coverage_of(q, values[q.key]) for q in quantities},
+        leaks=tuple(_leaks(facts)),
+        duplicates=tuple(pairs + alike_in_picture(indices, hashes)),
+        quantities=quantities,
+    )
+
+
+def _leaks(facts: list[SceneFacts]) -> Iterator[Leak]:
+    """List the models and places that scenes of two splits both show."""
+    by_split = {split: frozenset[str]().union(*(f.owned for f in facts if f.split == split)) for split in SPLITS}
+    for first, second in itertools.combinations(SPLITS, 2):
+        for what in sorted(by_split[first] & by_split[second]):
+            yield Leak(what, (first, second))

@@ -1,0 +1,175 @@
+"""What can be measured on a scene's specification alone, without rendering."""
+
+from collections import defaultdict
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.stats.quantities import Value
+from lights.irradiance import StillLife
+from lights.measure import LightMeasure, measure_light
+from lights.spec import EnvironmentLight, Light, LightRig
+from scenes.assets.library import AssetLibrary
+from scenes.cameras import focal_length_mm, pixel_rays, project
+from scenes.rays import SceneRays, body_triangles, surface_points
+from scenes.spec import Body, Camera, Material, MeshAsset, SceneSpec, Sphere
+from scenes.splits import Split, asset_split
+from scenes.streams import Streams
+from scenes.trajectory import SEEN, in_frame
+
+POINTS = 48
+"""Points on an insertable object's surface that are looked for."""
+GRID = 12
+"""Rays along each side of a picture that measure its depth."""
+
+Values = dict[str, list[Value]]
+
+
+@dataclass(frozen=True)
+class SceneFacts:
+    """One scene, measured: values by quantity, and what tells it from other scenes.
+
+    `owned` are the asset ids and environment places that must not cross splits; `tokens` say what the scene is
+    made of, for finding near-duplicates.
+    """
+
+    index: int
+    split: Split
+    values: Values
+    owned: frozenset[str]
+    tokens: frozenset[str]
+
+
+def scene_facts(scene: SceneSpec, rig: LightRig, split: Split, library: AssetLibrary) -> SceneFacts:
+    """Measure a scene; raises `AssetError` where an asset of it is not installed."""
+    place = StillLife.of(scene, library)
+    lights = [measure_light(light, place) for light in rig.lights]
+    values: Values = defaultdict(list)
+    objects = [body for body in scene.bodies if body.role == "object"]
+    values["kind"], values["split"] = [scene.kind], [split]
+    values["objects"], values["lights"] = [float(len(objects))], [float(len(rig.lights))]
+    values["glows"] = ["yes" if any(light.kind == "emissive" for light in rig.lights) else "no"]
+    _add_contrast(values, lights)
+    for body in objects:
+        _add_object(values, body, library)
+    for light, measure in zip(rig.lights, lights, strict=True):
+        _add_light(values, light, measure)
+    _add_views(values, scene, place.rays, library)
+    return SceneFacts(scene.index, split, dict(values), owned_by(scene, rig, library), _tokens(scene))
+
+
+def _add_contrast(values: Values, lights: list[LightMeasure]) -> None:
+    """Compare the strongest light with all others, as a dome meter reads them; what glows counts in neither."""
+    strengths = sorted(light.dome for light in lights if light.kind != "emissive")
+    if sum(strengths[:-1]) > 0:
+        values["contrast"].append(float(np.log2(strengths[-1] / sum(strengths[:-1]))))
+
+
+def _add_object(values: Values, body: Body, library: AssetLibrary) -> None:
+    values["category"].append(body.category)
+    values["size"].append(float(np.ptp(body_triangles(body, library)[0], axis=0).max()))
+    for material in body.materials:
+        values["material"].append(material_class(material))
+        values["roughness"].append(material.roughness)
+        values["metallic"].append(material.metallic)
+        values["transmission"].append(material.transmission)
+
+
+def material_class(material: Material) -> str:
+    """Name what a material looks like, by the parameter that decides it."""
+    match material:
+        case Material(metallic=metallic, roughness=roughness) if metallic > 0.5:
+            return "mirror" if roughness < 0.1 else "metal"
+        case Material(transmission=transmission) if transmission > 0.5:
+            return "glass"
+        case Material(coat=coat) if coat > 0.3:
+            return "coated"
+        case Material(roughness=roughness):
+            return "glossy" if roughness < 0.3 else "satin" if roughness < 0.6 else "matte"
+
+
+def _add_light(values: Values, light: Light, measure: LightMeasure) -> None:
+    values["light_kind"].append(measure.kind)
+    values["azimuth"].append(float(np.degrees(measure.azimuth)))
+    values["elevation"].append(float(np.degrees(measure.elevation)))
+    values["illuminance"].append(measure.illuminance)
+    values["angular_size"].append(float(np.degrees(measure.angular_size)))
+    values["temperature"].append(measure.temperature)
+    values["saturation"].append(measure.saturation)
+    values["shaped"].append("yes" if measure.shaped else "no")
+    if light.gel is not None:
+        values["gel"].append(light.gel)
+
+
+def _add_views(values: Values, scene: SceneSpec, rays: SceneRays, library: AssetLibrary) -> None:
+    """Look at the scene through every camera."""
+    rng = Streams(0, scene.index)("stats")
+    bodies = {scene.bodies.index(body): body for body in scene.bodies if body.insertable}
+    points = {number: surface_points(body, library, rng, POINTS) for number, body in bodies.items()}
+    middle = np.concatenate(list(points.values())).mean(axis=0)
+    shown = dict.fromkeys(points, 0)
+    for camera in scene.cameras:
+        eye = camera.pose()[:3, 3]
+        away = eye - middle
+        values["lens"].append(focal_length_mm(camera))
+        values["distance"].append(float(np.linalg.norm(away)))
+        values["camera_elevation"].append(float(np.degrees(np.arcsin(away[2] / np.linalg.norm(away)))))
+        if camera.aperture_radius > 0:
+            values["f_number"].append(focal_length_mm(camera) / 2000.0 / camera.aperture_radius)
+        near, far = _depth_range(camera, rays)
+        values["near"] += [near] if near > 0 else []
+        values["depth_range"] += [far / near] if near > 0 else []
+        for number, surface in points.items():
+            visible = rays.visible_share(eye, number, surface)
+            values["occlusion"].append(1.0 - visible)
+            values["in_frame"].append(_extent(camera, surface))
+            shown[number] += in_frame(camera, surface) and visible >= SEEN
+    values["shown"] += [count / len(scene.cameras) for count in shown.values()]
+
+
+def _depth_range(camera: Camera, rays: SceneRays) -> tuple[float, float]:
+    """Return the 5th and 95th percentile of z_depth [m] over a grid of rays that hit anything; zeros for none."""
+    ratio = GRID / camera.width, GRID / camera.height
+    scaled = {"fx": camera.fx * ratio[0], "cx": camera.cx * ratio[0], "fy": camera.fy * ratio[1]}
+    coarse = camera.model_copy(update=scaled | {"cy": camera.cy * ratio[1], "width": GRID, "height": GRID})
+    origins, directions = (array.reshape(-1, 3) for array in pixel_rays(coarse))
+    hit, distance = rays.first_hit(origins, directions)
+    depth = (distance * (directions @ -camera.pose()[:3, 2]))[hit >= 0]
+    if not len(depth):
+        return 0.0, 0.0
+    low, high = np.percentile(depth, [5, 95])
+    return float(low), float(high)
+
+
+def _extent(camera: Camera, points: NDArray[np.float64]) -> float:
+    """Return the longer side of the box round projected points, over the picture's shorter side."""
+    pixels, _ = project(camera, points)
+    seen = pixels[np.isfinite(pixels).all(axis=1)]
+    return float(np.ptp(seen, axis=0).max() / min(camera.width, camera.height)) if len(seen) else 0.0
+
+
+def owned_by(scene: SceneSpec, rig: LightRig, library: AssetLibrary) -> frozenset[str]:
+    """List what belongs to one split only: models by id, environments by place."""
+    used = {body.geometry.asset for body in scene.bodies if isinstance(body.geometry, MeshAsset)}
+    used |= {light.map for light in rig.lights if isinstance(light, EnvironmentLight) and light.map}
+    infos = [info for info in map(library.info, used) if asset_split(info) is not None]
+    return frozenset(f"place {info.place}" if info.place else info.id for info in infos)
+
+
+def _tokens(scene: SceneSpec) -> frozenset[str]:
+    """Say what a scene is made of: shapes, textures and colours, wherever they stand."""
+    tokens = set()
+    for body in scene.bodies:
+        match body.geometry:
+            case MeshAsset(asset=asset):
+                tokens.add(f"{body.role} {asset}")
+            case Sphere(radius=radius):
+                tokens.add(f"{body.role} sphere {radius:.3f}")
+            case _:
+                tokens.add(f"{body.role} {body.category}")
+        for material in body.materials:
+            colour = ",".join(f"{channel:.2f}" for channel in material.base_color)
+            image = material.base_color_texture.image if material.base_color_texture else ""
+            tokens.add(f"{body.category} {colour} {image}")
+    return frozenset(tokens)

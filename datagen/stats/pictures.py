@@ -1,0 +1,45 @@
+"""What can be measured on a finished scene's pictures."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from datagen.records import SceneRecord
+from datagen.stats.facts import Values
+from datagen.store import read_view
+from lights.tonemap import luminance
+
+Float64 = NDArray[np.float64]
+
+
+def picture_values(folder: Path, record: SceneRecord) -> Values:
+    """Measure the preview (all lights on, as displayed) and the radiance of the first and the last view."""
+    with Image.open(folder / "preview.png") as image:
+        preview = np.asarray(image.convert("RGB"), np.float64)
+    tiles = np.array_split(preview, min(4, len(record.views)), axis=1)
+    ends = sorted({0, len(record.views) - 1})
+    targets = (read_view(folder / record.views[view].file).combined for view in ends)
+    return {
+        "luminance": [float(luminance(tile / 255.0).mean()) for tile in tiles],
+        "colourfulness": [colourfulness(tile) for tile in tiles],
+        "dynamic_range": [dynamic_range(np.asarray(target, np.float64)) for target in targets],
+    }
+
+
+def colourfulness(rgb: Float64) -> float:
+    """Return the colourfulness M of 8-bit sRGB values (H, W, 3): about 0 (grey) to 110 (extremely colourful).
+
+    D. Hasler and S. Süsstrunk, Measuring colourfulness in natural images, 2003, eq. 3.
+    """
+    red, green, blue = np.moveaxis(rgb, -1, 0)
+    opponents = np.stack([red - green, 0.5 * (red + green) - blue])
+    spread = np.hypot(*opponents.reshape(2, -1).std(axis=1))
+    return float(spread + 0.3 * np.hypot(*opponents.reshape(2, -1).mean(axis=1)))
+
+
+def dynamic_range(radiance: Float64) -> float:
+    """Return the stops between the 1st and the 99th percentile of the luminance of radiance (H, W, 3)."""
+    low, high = np.percentile(luminance(radiance), [1, 99])
+    return float(np.log2(max(high, 1e-9) / max(low, high * 2.0**-20, 1e-9)))

@@ -1,0 +1,20 @@
+"""What surfaces are made of: classes with measured ranges, textures at their real size, a scene's materials."""
+
+from scenes.materials.bodies import GLOW, body_materials, with_derived_maps
+from scenes.materials.classes import FINISHES, METALS, Finish, linear_from_hex, painted_wall, sample_material
+from scenes.materials.textured import metres_per_uv, pick_texture, textured
+
+__all__ = [
+    "FINISHES",
+    "GLOW",
+    "METALS",
+    "Finish",
+    "body_materials",
+    "linear_from_hex",
+    "metres_per_uv",
+    "painted_wall",
+    "pick_texture",
+    "sample_material",
+    "textured",
+    "with_derived_maps",
+]

@@ -1,0 +1,1 @@
+"""Exact contact between meshes, and physics that lets things fall into place."""

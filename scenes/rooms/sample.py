@@ -1,0 +1,141 @@
+"""Room scenes: a furnished room, things lying about in it, and cameras inside."""
+
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, PositiveInt, model_validator
+
+from scenes.assets.library import AssetLibrary
+from scenes.cameras import matrix4
+from scenes.frozen import Frozen, UnitFloat
+from scenes.placement import PlacementError
+from scenes.rays import SceneRays, surface_points
+from scenes.rooms.clutter import EMISSIVE_SHARE, Objects, insert, litter
+from scenes.rooms.finish import sample_palette
+from scenes.rooms.groups import place_openings
+from scenes.rooms.layouts import FURNISH, SPANS, RoomType
+from scenes.rooms.plan import Plan, pose_at
+from scenes.rooms.shell import sample_shell, shell_bodies
+from scenes.rooms.views import Room, sample_views
+from scenes.spec import Body, Camera, SceneSpec
+from scenes.still_life import SceneSamplingError
+from scenes.streams import Streams
+from scenes.trajectory import TrajectoryError
+
+ATTEMPTS = 16
+
+Float64 = NDArray[np.float64]
+
+
+class RoomShares(Frozen):
+    """How often each type of room comes, relative to the others."""
+
+    living: UnitFloat = 0.35
+    """Living rooms."""
+    kitchen: UnitFloat = 0.25
+    """Kitchens to eat in."""
+    bedroom: UnitFloat = 0.2
+    """Bedrooms."""
+    study: UnitFloat = 0.2
+    """Studies."""
+
+    @model_validator(mode="after")
+    def _some_share(self) -> "RoomShares":
+        if not self.living + self.kitchen + self.bedroom + self.study > 0:
+            raise ValueError("at least one type of room needs a share above 0")
+        return self
+
+
+class RoomSettings(Frozen):
+    """What every room scene of a dataset has in common."""
+
+    width: PositiveInt = 256
+    """Image width [pixels]."""
+    height: PositiveInt = 256
+    """Image height [pixels]."""
+    views: PositiveInt = 16
+    """Number of cameras, from distant to close."""
+    insertable: Annotated[int, Field(ge=1, le=8)] = 3
+    """Objects whose removal is rendered, 1 to 8."""
+    rooms: RoomShares = RoomShares()
+    """Types of room."""
+
+
+def sample_room(streams: Streams, library: AssetLibrary, *, index: int, settings: RoomSettings) -> SceneSpec:
+    """Draw a furnished room; the same streams, assets and settings give the same scene anywhere.
+
+    Nothing lies in anything else, everything stands or hangs, doors can be opened, and every insertable object is in
+    frame and visible in most views. Raises `SceneSamplingError` where no attempt succeeds.
+    """
+    # What must not depend on whether an attempt fails is drawn once, so that rejection shifts no share.
+    basics = streams("basics")
+    shares = settings.rooms.model_dump()
+    weights = np.array(list(shares.values()))
+    kind: RoomType = list(FURNISH)[int(basics.choice(len(weights), p=weights / weights.sum()))]
+    glows = bool(basics.random() < EMISSIVE_SHARE)
+    turn = float(basics.uniform(0.0, 2 * np.pi))
+    reason: Exception | None = None
+    for attempt in range(ATTEMPTS):
+        try:
+            plan, names = _furnished(streams, library, kind, attempt, settings.insertable, glows)
+            cameras = _views(streams, library, plan, names, attempt, settings)
+        except (PlacementError, TrajectoryError) as error:
+            reason = error
+            continue
+        chosen = set(names)
+        bodies = [body.model_copy(update={"insertable": body.name in chosen}) for body in plan.bodies]
+        return _turned(index, bodies, cameras, turn)
+    raise SceneSamplingError(
+        f"seed {streams.seed}, scene {index}: no attempt of {ATTEMPTS} succeeded; the last: {reason}"
+    )
+
+
+def _furnished(
+    streams: Streams, library: AssetLibrary, kind: RoomType, attempt: int, count: int, glows: bool
+) -> tuple[Plan, list[str]]:
+    """Build and furnish a room; also returns the names of what is inserted."""
+    rng = streams(f"shell/{attempt}")
+    palette = sample_palette(rng, library)
+    shell = sample_shell(rng, library, span=SPANS[kind])
+    plan = Plan(library, shell, palette, shell_bodies(rng, library, shell, palette, kind))
+    place_openings(rng, plan)
+    plan.keep_doors_free()
+    FURNISH[kind](streams(f"furniture/{attempt}"), plan)
+    objects = Objects(plan)
+    names = insert(streams(f"objects/{attempt}"), objects, kind, count, glows)
+    litter(streams(f"clutter/{attempt}"), objects, kind)
+    return plan, names
+
+
+def _views(
+    streams: Streams, library: AssetLibrary, plan: Plan, names: list[str], attempt: int, settings: RoomSettings
+) -> tuple[Camera, ...]:
+    """Collect what cameras must show and avoid, and draw them."""
+    probes = streams(f"probes/{attempt}")
+    watched = {
+        index: surface_points(body, library, probes, 36) for index, body in enumerate(plan.bodies) if body.name in names
+    }
+    placed = list(plan.placed.values())
+    room = Room(
+        watched=watched,
+        rays=SceneRays(plan.bodies, library),
+        low=np.array([p.low for p in placed]),
+        high=np.array([p.high for p in placed]),
+        half=np.array([plan.shell.width, plan.shell.depth]) / 2,
+        height=plan.shell.height,
+    )
+    rng = streams(f"views/{attempt}")
+    return sample_views(rng, room, width=settings.width, height=settings.height, views=settings.views)
+
+
+def _turned(index: int, bodies: list[Body], cameras: tuple[Camera, ...], angle: float) -> SceneSpec:
+    """Turn everything about +Z, so that no world axis is special in a dataset."""
+    turn = pose_at((0.0, 0.0), 0.0, angle)
+    poses = [matrix4(turn @ np.array(body.world_from_body)) for body in bodies]
+    return SceneSpec(
+        kind="room",
+        index=index,
+        bodies=tuple(b.model_copy(update={"world_from_body": pose}) for b, pose in zip(bodies, poses, strict=True)),
+        cameras=tuple(camera.model_copy(update={"c2w": matrix4(turn @ camera.pose())}) for camera in cameras),
+    )
