@@ -3,8 +3,8 @@
 (a) Mitsuba, light by light; (b) Cycles, light by light with light groups; (c) Cycles, each lighting condition
 rendered anew with everything and without each object, and denoised, as other pipelines do (a mask then cuts the
 object out). Same scene, size and views. Each way takes the fewest samples whose denoised targets lie, on the average
-over the conditions, `--quality` dB from its own renderer's converged picture (8-bit, tone-mapped; itself denoised). Seconds are those
-of all cores together. (c) is timed on a few conditions and counted for all.
+over the conditions, `--quality` dB from its own renderer's converged picture (8-bit, tone-mapped; itself denoised).
+Seconds are those of all cores together. (c) is timed on a few conditions and counted for all.
 
     python benchmarks/tuples.py --seed 3
 """

@@ -88,6 +88,7 @@ def sample_scene(config: DatasetConfig, library: AssetLibrary, streams: Streams)
         views=config.views,
         insertable=config.insertable,
         objects=config.objects,
+        piles=config.piles if kind == "tabletop" else 0.0,
         cameras=config.cameras,
     )
     scene = SAMPLERS[kind](streams, library, index=streams.scene, settings=settings)

@@ -18,13 +18,15 @@ from lights.tonemap import meter_ev, to_display
 from scenes.assets.library import AssetLibrary
 from tests.calibration_scenes import LIGHTS, SURFACES, calibration_job
 
+CHOICE = choose_variant()
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.skipif(choose_variant().variant == "scalar_rgb", reason=f"no vectorized Mitsuba: {choose_variant().why}"),
+    pytest.mark.skipif(CHOICE.variant == "scalar_rgb", reason=f"no vectorized Mitsuba: {CHOICE.why}"),
     pytest.mark.skipif(importlib.util.find_spec("bpy") is None, reason="the package bpy is not installed"),
 ]
 
 SPP = 128
+SAMPLED_SPP = 256
 CLIP = 0.999
 """Quantile beyond which a layer's values are clipped: a firefly is no disagreement."""
 

@@ -10,7 +10,6 @@ import uuid
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 from PIL import Image
@@ -52,7 +51,7 @@ class _Index(Frozen):
 class BackgroundPack:
     """The scene in `file` (GLB, glTF or USD) as the pack `background`; raises `AssetError` where it cannot serve."""
 
-    name: ClassVar[str] = PACK
+    name = PACK
 
     def __init__(self, file: Path, cache: Path) -> None:
         if not file.is_file():

@@ -86,7 +86,10 @@ def scene_arrays(scene: SceneSpec, rig: LightRig, library: AssetLibrary, texture
     """Flatten a scene; raises `BackendError` where an emissive light names no part of it, or an asset has changed."""
     glows = glowing_parts(scene, rig)
     atlas = _Atlas(textures)
-    vertices, faces, values, links = [], [], [], []
+    vertices: list[Float32] = []
+    faces: list[UInt32] = []
+    values: list[list[float]] = []
+    links: list[list[int]] = []
     spans: dict[str, tuple[int, int]] = {}
     vertex = face = 0
     for number, body in enumerate(scene.bodies, start=1):

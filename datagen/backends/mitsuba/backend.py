@@ -1,6 +1,6 @@
 """`MitsubaBackend`: one job in, one `LayerStack` out; a view's variants come from one set of paths."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import TracebackType
 from typing import Self
 
@@ -61,14 +61,12 @@ class MitsubaBackend:
         dr.set_thread_count(job.settings.threads or dr.thread_count())
         synced = self._sync(job)
         view = synced.view(job.view, job.settings)
-        match action:
-            case "without":
-                return view.stack(job.rig, view.without[name])
-            case "foreground":
-                return view.stack(job.rig, view.foreground[name], coverage=view.coverage[name])
-            case _:
-                geometry = geometry_buffers(synced.world, job.scene.cameras[job.view], view.uncovered)
-                return view.stack(job.rig, view.everything, geometry=geometry)
+        if name is None:
+            geometry = geometry_buffers(synced.world, job.scene.cameras[job.view], view.uncovered)
+            return replace(view.stack(job.rig, view.everything), geometry=geometry)
+        if action == "without":
+            return view.stack(job.rig, view.without[name])
+        return replace(view.stack(job.rig, view.foreground[name]), coverage=view.coverage[name])
 
     def _sync(self, job: RenderJob) -> "_Synced":
         if self._synced is None or (self._synced.scene, self._synced.rig) != (job.scene, job.rig):
@@ -110,7 +108,7 @@ class _Pictures:
     foreground: dict[str, Float32] = field(default_factory=dict)
     coverage: dict[str, Float32] = field(default_factory=dict)
 
-    def stack(self, rig: LightRig, layers: Float32, **more: object) -> LayerStack:
+    def stack(self, rig: LightRig, layers: Float32) -> LayerStack:
         """Wrap a variant's layers."""
         return LayerStack(
             lights=rig.names,
@@ -118,7 +116,6 @@ class _Pictures:
             combined=layers.sum(axis=0),
             guide_albedo=self.albedo,
             guide_normal=self.normal,
-            **more,
         )
 
 

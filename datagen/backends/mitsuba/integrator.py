@@ -12,7 +12,7 @@ import drjit as dr
 import mitsuba as mi
 
 from datagen.backends.mitsuba import bsdf
-from datagen.backends.mitsuba.lights import Emitter, Environment, Glow, Sample
+from datagen.backends.mitsuba.lights import AnyEmitter, Environment, Glow, Sample
 from datagen.backends.mitsuba.sampling import Sampler
 from datagen.backends.mitsuba.surfaces import Hit, Soup, Surfaces
 
@@ -35,7 +35,7 @@ class World:
     fixed: Soup | None
     changing: Soup | None
     surfaces: Surfaces
-    emitters: list[Emitter]
+    emitters: list[AnyEmitter]
     tables: bsdf.Tables
     bits: mi.UInt32
     """By body number: the bit of a removable body, else 0."""
@@ -180,9 +180,7 @@ def _vertex(world: World, s: dict, max_bounces: int, one_light: bool) -> dict:
     return s
 
 
-def _emission(
-    world: World, s: dict, hit: Hit, distance: mi.Float, met: tuple[mi.Bool, mi.Bool], chance: float
-) -> None:
+def _emission(world: World, s: dict, hit: Hit, distance: mi.Float, met: tuple[mi.Bool, mi.Bool], chance: float) -> None:
     """Book what the ray itself meets: the environment, glowing surfaces and, after a bounce, lamps.
 
     `met`: whether there is an opaque surface, and whether there is any. `chance`: of a light to be sampled.

@@ -1,12 +1,15 @@
 """The lights of `lights.spec`, sampled from a point and met by rays. Values are radiance per colour channel.
 
+Each has `sample(p, u)`, a direction from p, and `met(o, d)`: the distance at which a ray meets it, its radiance there
+and the density [1/sr] of sampling d from o. `delta` ones are found by sampling only; `distant` ones lie beyond
+everything, and only rays that leave the scene meet them.
+
 Numbers that differ from scene to scene are opaque to the compiler, so that rigs of the same make-up share a kernel.
 """
 
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import drjit as dr
 import mitsuba as mi
@@ -44,23 +47,6 @@ class Sample:
     distance: mi.Float
     weight: mi.Color3f
     pdf: mi.Float
-
-
-class Emitter(Protocol):
-    """A light as paths meet it."""
-
-    delta: bool
-    """Only sampling finds it: no ray ever hits it."""
-    distant: bool
-    """It lies beyond everything, so that only rays that leave the scene meet it."""
-
-    def sample(self, p: mi.Point3f, u: mi.Point2f) -> Sample:
-        """Sample a direction from p."""
-        ...
-
-    def met(self, o: mi.Point3f, d: mi.Vector3f) -> tuple[mi.Float, mi.Color3f, mi.Float]:
-        """Return the distance at which a ray meets it, its radiance there and the density of sampling d from o."""
-        ...
 
 
 def _vector(value: Vector3 | NDArray[np.float64]) -> mi.Vector3f:
@@ -310,12 +296,13 @@ class Glow:
         return self._radiance
 
 
-def emitters_of(
-    rig: LightRig, arrays: SceneArrays, surfaces: Surfaces, library: AssetLibrary
-) -> list[Environment | Sun | Bulb | Panel | Glow]:
+AnyEmitter = Environment | Sun | Bulb | Panel | Glow
+
+
+def emitters_of(rig: LightRig, arrays: SceneArrays, surfaces: Surfaces, library: AssetLibrary) -> list[AnyEmitter]:
     """Make the emitters of a rig, in its order."""
 
-    def made(number: int, light: Light) -> Environment | Sun | Bulb | Panel | Glow:
+    def made(number: int, light: Light) -> AnyEmitter:
         match light:
             case EnvironmentLight():
                 return Environment(light, library)
