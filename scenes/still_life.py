@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from scenes.piles import Pile
 
 ATTEMPTS = 12
+PILED = 4
+"""Attempts with a pile, where one is wanted, before the scene does without: it takes much of a small table."""
 EMISSIVE_SHARE = 0.4
 """Share of the scenes in which an object glows; in five of six of these it is an insertable one: a third of all."""
 
@@ -150,7 +152,13 @@ def sample_still_life(
     for attempt in range(ATTEMPTS):
         try:
             setting = build(attempt)
-            plan = Plan(attempt, max(settings.insertable, min(count, setting.most)), settings.insertable, glows, piled)
+            plan = Plan(
+                attempt,
+                max(settings.insertable, min(count, setting.most)),
+                settings.insertable,
+                glows,
+                piled and attempt < PILED,
+            )
             objects, subject = _arranged(streams, library, setting, plan, choose)
             cameras = sample_trajectory(
                 streams(f"trajectory/{attempt}"),

@@ -7,15 +7,20 @@ Where a comparison fails, both pictures and their difference are written to the 
 import importlib.util
 from pathlib import Path
 
+import flip_evaluator
 import numpy as np
 import pytest
 from PIL import Image
 
-from datagen.backends import open_backend
+from datagen.backends import RenderJob, RenderSettings, open_backend
 from datagen.backends.variants import choose_variant
+from datagen.config import DatasetConfig
+from datagen.denoise import denoise_all
 from datagen.layers import Float32
+from datagen.produce import sample_scene
 from lights.tonemap import meter_ev, to_display
 from scenes.assets.library import AssetLibrary
+from scenes.streams import Streams
 from tests.calibration_scenes import LIGHTS, SURFACES, calibration_job
 
 CHOICE = choose_variant()
@@ -80,3 +85,21 @@ def _same_geometry(ours, theirs):
     assert np.quantile(np.abs(ours.roughness - theirs.roughness)[same], 0.95) < 0.01
     assert np.abs(ours.metallic - theirs.metallic)[same].max() < 0.01
     assert np.abs(ours.environment - theirs.environment).mean() < 0.01
+
+
+@pytest.mark.parametrize("seed", [1, 4])
+def test_sampled_tabletops(renderers, seed, tmp_path):
+    """Whole scenes, denoised, so that what is left is not noise."""
+    library = AssetLibrary(cache=tmp_path / "cache", packs=("builtin",))
+    config = DatasetConfig(seed=seed, width=96, height=96, views=4)
+    scene, rig = sample_scene(config, library, Streams(seed, 0))
+    job = RenderJob(scene, rig, RenderSettings(spp=SAMPLED_SPP, threads=2), 2)
+    ours, theirs = (denoise_all(backend.render(job), threads=2) for backend in renderers)
+    _save(tmp_path, "sampled", ours.sum(axis=0), theirs.sum(axis=0))
+    for name, a, b in zip(rig.names, ours, theirs, strict=True):
+        assert a.mean() == pytest.approx(b.mean(), rel=0.05), (name, tmp_path)
+    assert _psnr(ours.sum(axis=0), theirs.sum(axis=0)) > 35.0, tmp_path
+    exposure = meter_ev(theirs.sum(axis=0))
+    shown = [to_display(p.sum(axis=0), exposure).astype(np.float32) / 255 for p in (theirs, ours)]
+    _, error, _ = flip_evaluator.evaluate(*shown, "LDR", inputsRGB=True)
+    assert error < 0.06, tmp_path
