@@ -34,7 +34,7 @@ from scenes.assets.library import AssetLibrary
 from scenes.spec import SceneSpec
 from scenes.streams import Streams
 
-LADDER = (1, 2, 4, 8, 16, 32, 64, 128, 256, 512)
+LADDER = (16, 32, 64, 128, 256, 512, 1024)
 
 
 @dataclass
@@ -46,8 +46,8 @@ class Options:
     view: int = 6
     conditions: int = 12
     quality: float = 40.0
-    reference_spp: int = 1024
-    timed_conditions: int = 2
+    reference_spp: int = 4096
+    timed_conditions: int = 1
     """Of (c), how many are rendered and timed."""
 
 

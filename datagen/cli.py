@@ -44,7 +44,7 @@ class _Options:
     views: int | None = None
     """Views a scene (default 16)."""
     spp: int | None = None
-    """Samples a pixel (default 8)."""
+    """Samples a pixel (default 16)."""
     denoise: Literal["auto", "on", "off"] | None = None
     """Denoise each layer (default auto: below 2048 samples a pixel)."""
     keep_raw: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False

@@ -68,7 +68,7 @@ class DatasetConfig(Frozen):
     """Image height."""
     views: Annotated[int, Field(ge=1, le=100)] = 16
     """Views a scene."""
-    spp: Annotated[int, Field(ge=1, le=65536)] = 8
+    spp: Annotated[int, Field(ge=1, le=65536)] = 16
     """Samples a pixel."""
     denoise: Literal["auto", "on", "off"] = "auto"
     """Denoise each layer (Intel Open Image Denoise); `auto` does so below 2048 samples a pixel."""

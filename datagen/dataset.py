@@ -29,7 +29,10 @@ from scenes.assets.library import AssetError, AssetLibrary
 SCENES_A_WORKER = 25  # then a fresh process: a long-lived Blender grows
 SECONDS_A_MEGASAMPLE = 60.0  # a hundred times what a slow core needs; only a hung scene exceeds it
 LEAST_TIMEOUT = 600.0
-VERSIONS = ("multilight", "bpy", "mitsuba-oidn", "OpenEXR", "trimesh", "numpy", "colour-science")
+VERSIONS = ("multilight", "bpy", "mitsuba", "drjit", "mitsuba-oidn", "OpenEXR", "trimesh", "numpy", "colour-science")
+
+
+SCALAR = "scalar_rgb"
 
 
 @dataclass(frozen=True)
@@ -131,11 +134,11 @@ def _locked(root: Path) -> Iterator[None]:
 def _open_record(plan: Plan, renderer: RendererName) -> None:
     """Write `dataset.json`, or check that what is there was made with the same configuration and renderer."""
     path = plan.root / "dataset.json"
+    variant = choose_variant().variant if renderer == "mitsuba" else ""
     if not path.exists():
         if any(not p.name.startswith(".") for p in plan.root.iterdir()):
             raise UserError(f"output folder {plan.root} holds other files and no dataset; choose an empty --out")
         versions = {package: importlib.metadata.version(package) for package in VERSIONS}
-        variant = choose_variant().variant if renderer == "mitsuba" else ""
         record = DatasetRecord(config=plan.config, renderer=renderer, variant=variant, versions=versions)
         write_text(path, record.model_dump_json(indent=1))
         return
@@ -144,6 +147,11 @@ def _open_record(plan: Plan, renderer: RendererName) -> None:
         raise UserError(
             f"{plan.root} was made with renderer {record.renderer!r} and cannot be continued with {renderer!r}; "
             f"use --renderer {record.renderer} or another --out"
+        )
+    if (record.variant == SCALAR) != (variant == SCALAR):
+        raise UserError(
+            f"{plan.root} was made with Mitsuba's variant {record.variant!r} and cannot be continued with {variant!r}, "
+            "whose surfaces look different; see `multilight doctor`, or use another --out"
         )
     old, new = record.config.model_dump(), plan.config.model_dump()
     for key in sorted(set(old) - {"scenes", "renderer"}):

@@ -121,7 +121,7 @@ def _hash_of(cache: Path, asset: str) -> str:
 
 
 def test_several_processes_share_a_cache(tmp_path: Path) -> None:
-    with multiprocessing.get_context("fork").Pool(4) as pool:
+    with multiprocessing.get_context("spawn").Pool(4) as pool:
         hashes = pool.starmap(_hash_of, [(tmp_path, "builtin/vase-01")] * 8)
     assert len(set(hashes)) == 1
     assert not list(tmp_path.rglob("*.tmp*"))

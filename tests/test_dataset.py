@@ -16,10 +16,12 @@ import pytest
 
 from datagen.backends import Backend, RenderJob
 from datagen.backends.analytic import AnalyticBackend
+from datagen.backends.variants import choose_variant
 from datagen.cli import main
 from datagen.config import DatasetConfig
 from datagen.layers import LayerStack
 from datagen.produce import Maker, make_scene
+from datagen.records import DatasetRecord
 from datagen.store import file_sha256, read_scene, scene_dir, scene_indices
 from datagen.verify import verify_scene
 from scenes.assets.library import AssetLibrary
@@ -251,3 +253,16 @@ def test_full_disk_is_said_and_finished_scenes_stay(small_disk: Path) -> None:
         assert check.returncode == 0
     finally:
         subprocess.run(["umount", "-l", str(small_disk)], check=True)
+
+
+def test_continuing_with_mitsubas_scalar_variant_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    root = tmp_path / "d"
+    record = DatasetRecord(config=DatasetConfig(renderer="mitsuba"), renderer="mitsuba", variant="", versions={})
+    here = choose_variant().variant
+    other = "llvm_ad_rgb" if here == "scalar_rgb" else "scalar_rgb"
+    root.mkdir()
+    (root / "dataset.json").write_text(record.model_copy(update={"variant": other}).model_dump_json())
+    assert run("dataset", "--out", root, "--renderer", "mitsuba", "--scenes", 4) == 1
+    errors = capsys.readouterr().err
+    assert other in errors
+    assert here in errors

@@ -36,6 +36,7 @@ BPY_MAPS = {
     "sunrise": _Map("outdoor", "spruit_sunrise"),
     "sunset": _Map("outdoor", "venice_sunset"),
 }
+# Not "park": all that is left of its sun is one pixel of 11,800 in blue.
 PMNDRS_MAPS = {
     "apartment": _Map("indoor", "lebombo"),
     "bridge": _Map("indoor", "adams_place_bridge"),
@@ -47,7 +48,6 @@ PMNDRS_MAPS = {
     "lab": _Map("indoor", "lab"),
     "lobby": _Map("indoor", "st_fagans_interior"),
     "night": _Map("night", "dikhololo_night"),
-    "park": _Map("outdoor", "rooitou_park"),
     "sky": _Map("outdoor", "sky"),
     "studio": _Map("studio", "studio_small"),
     "sunrise": _Map("outdoor", "spruit_sunrise"),
