@@ -151,6 +151,17 @@ def check_without_equals_a_scene_that_never_had_it(render: Render, tolerance: To
         _assert_close(a, b, tolerance.noise, name)
 
 
+def check_guides_know_what_was_removed(render: Render, tolerance: Tolerance) -> None:
+    """What guides the denoiser must not show an object that is gone: its outline would come back as a ghost."""
+    without, never = render(job("without_near")), render(job(scene=still_life(without="near")))
+    everything = render(job())
+    if without.guide_albedo is None:
+        return
+    for name in ("guide_albedo", "guide_normal"):
+        gone, absent, present = (getattr(stack, name) for stack in (without, never, everything))
+        assert np.abs(gone - absent).mean() < 0.3 * np.abs(gone - present).mean(), name
+
+
 def check_foreground_is_the_object_alone(render: Render, tolerance: Tolerance) -> None:
     everything, seen = render(job()), reference(still_life(), oblique_camera())
     for name in ("near", "far"):

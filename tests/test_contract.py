@@ -29,6 +29,7 @@ CHECKS = [
     contract.check_hidden_object_leaves_no_trace,
     contract.check_untouched_pixels_come_out_equal,
     contract.check_without_equals_a_scene_that_never_had_it,
+    contract.check_guides_know_what_was_removed,
     contract.check_foreground_is_the_object_alone,
     contract.check_geometry_matches_closed_form,
     contract.check_normals_and_albedo,

@@ -65,7 +65,8 @@ class MitsubaBackend:
             geometry = geometry_buffers(synced.world, job.scene.cameras[job.view], view.uncovered)
             return replace(view.stack(job.rig, view.everything), geometry=geometry)
         if action == "without":
-            return view.stack(job.rig, view.without[name])
+            albedo, normal = view.guides[name]
+            return replace(view.stack(job.rig, view.without[name]), guide_albedo=albedo, guide_normal=normal)
         return replace(view.stack(job.rig, view.foreground[name]), coverage=view.coverage[name])
 
     def _sync(self, job: RenderJob) -> "_Synced":
@@ -98,13 +99,17 @@ class MitsubaBackend:
 
 @dataclass
 class _Pictures:
-    """Means over a view's samples: variants as (L, H, W, 3), by object; masks (H, W); guides (H, W, 3)."""
+    """Means over a view's samples: variants as (L, H, W, 3), by object; masks (H, W).
+
+    albedo, normal (H, W, 3) guide the denoiser; `guides` (2, H, W, 3) do where an object is removed.
+    """
 
     everything: Float32
     albedo: Float32
     normal: Float32
     uncovered: Float32
     without: dict[str, Float32] = field(default_factory=dict)
+    guides: dict[str, Float32] = field(default_factory=dict)
     foreground: dict[str, Float32] = field(default_factory=dict)
     coverage: dict[str, Float32] = field(default_factory=dict)
 
@@ -160,6 +165,7 @@ class _Synced:
             normal=means["normal", ""][0],
             uncovered=means["uncovered", ""][0, ..., 0],
             without={name: means["without", name] for name in names},
+            guides={name: means["without guides", name] for name in names},
             foreground={name: means["foreground", name] for name in names},
             coverage={name: means["coverage", name][0, ..., 0] for name in names},
         )
@@ -190,17 +196,22 @@ class _Batch:
             mine = book.first == scene.instance_id(name)
             sums["coverage", name] = self._summed([mi.Color3f(dr.select(mine, mi.Float(1), 0))])
             sums["foreground", name] = self._summed([dr.select(mine, layer, 0) for layer in book.layers])
-            sums["without", name] = self._summed(self._without(book, name, place))
+            *layers, albedo, normal = self._without(book, name, place)
+            sums["without", name] = self._summed(layers)
+            sums["without guides", name] = self._summed([albedo, normal])
         return sums
 
     def _without(self, book: Book, name: str, place: int) -> list[mi.Color3f]:
-        """Trace again, without an object, the samples that met it; the others are what they were."""
-        layers = [mi.Color3f(layer) for layer in book.layers]
+        """Trace again, without an object, the samples that met it; the others are what they were.
+
+        Returns the layers, and the albedo and normal that guide their denoiser.
+        """
+        layers = [mi.Color3f(layer) for layer in (*book.layers, book.albedo, book.normal)]
         index = dr.compress((book.met >> place) & 1 != 0)
         if dr.width(index):
             again = self._trace(name, index)
-            for layer, new in zip(layers, again.layers, strict=True):
-                dr.scatter(layer, new, index)
+            for layer, new in zip(layers, (*again.layers, again.albedo, again.normal), strict=True):
+                dr.scatter(layer, mi.Color3f(new), index)
         for number, light in enumerate(self._synced.rig.lights):
             if isinstance(light, EmissiveLight) and light.body == name:
                 layers[number] = dr.zeros(mi.Color3f, dr.width(book.met))

@@ -58,7 +58,7 @@ class ScalarBackend:
         view = self._synced.view(job.view, job.settings)
         match action:
             case "without":
-                return view.stack(self._synced.without(name, view, job.settings))
+                return self._synced.without(name, view, job.settings)
             case "foreground":
                 return view.stack(view.means["foreground", name], coverage=view.mask("coverage", name))
             case _:
@@ -104,7 +104,8 @@ class _Synced:
     def __init__(self, job: RenderJob, library: AssetLibrary, textures: Textures) -> None:
         self.scene, self.rig = job.scene, job.rig
         self._worlds = Worlds(job.scene, job.rig, library, textures)
-        self._lookup = Lookup(job.scene, library, textures)
+        self._library, self._textures = library, textures
+        self._lookups: dict[str | None, Lookup] = {}
         self._seed = int(job.scene.sha256()[:8], 16)
         self._key: tuple[int, RenderSettings] | None = None
         self._view: _View | None = None
@@ -116,31 +117,39 @@ class _Synced:
             self._key = (number, settings)
         return self._view
 
-    def without(self, name: str | None, view: _View, settings: RenderSettings) -> Float32:
+    def without(self, name: str | None, view: _View, settings: RenderSettings) -> LayerStack:
         """Render the view's layers again, with the same random numbers, without an object."""
         assert self._key is not None
-        pictures = _View(view.film, (), view.geometry)
+        pictures = _View(view.film, self.rig.names, view.geometry)
         for seed in self._seeds(view.film, self._key[0], settings):
             self._add_layers(pictures, "without", name, seed, settings)
         pictures.divide()
-        return pictures.means["without", name]
+        return pictures.stack(pictures.means["without", name])
 
     def _render(self, number: int, settings: RenderSettings) -> _View:
         camera = self.scene.cameras[number]
         film = Film(camera)
-        view = _View(film, self.rig.names, _geometry(camera, self._lookup))
+        view = _View(film, self.rig.names, _geometry(camera, self._lookup(None)))
         for seed in self._seeds(film, number, settings):
             self._add_layers(view, "all", None, seed, settings)
         view.divide()
         view.geometry = replace(view.geometry, environment=1 - view.mask("covered"))
         return view
 
+    def _lookup(self, removed: str | None) -> Lookup:
+        """Return what rays see, without an object or with all."""
+        if removed not in self._lookups:
+            bodies = tuple(body for body in self.scene.bodies if body.name != removed)
+            scene = self.scene.model_copy(update={"bodies": bodies})
+            self._lookups[removed] = Lookup(scene, self._library, self._textures)
+        return self._lookups[removed]
+
     def _seeds(self, film: Film, number: int, settings: RenderSettings) -> list[int]:
         first = self._seed + number * VIEWS_APART
         return [film.seed(first, place) for place in range(film.passes(settings.spp))]
 
     def _add_layers(self, view: _View, kind: str, removed: str | None, seed: int, settings: RenderSettings) -> None:
-        """Add one sample a pixel under each light; with `all` also what the samples saw first."""
+        """Add one sample a pixel under each light, and what the samples saw first."""
         film, rays = view.film, view.film.rays(seed)
         pictures = [self._picture(film, number, removed, seed, settings) for number in range(len(self.rig.lights))]
 
@@ -153,12 +162,12 @@ class _Synced:
         ones = np.ones((*pictures[0].shape[:2], 1), np.float32)
         add("count", None, ones)
         add_layers(kind, removed, ones)
-        if kind != "all":
-            return
-        seen = self._lookup.see(rays.origins, rays.directions, np.random.default_rng(seed))
-        add("covered", None, seen.covered[:, None])
+        seen = self._lookup(removed).see(rays.origins, rays.directions, np.random.default_rng(seed))
         add("albedo", None, seen.albedo)
         add("normal", None, seen.normal)
+        if kind != "all":
+            return
+        add("covered", None, seen.covered[:, None])
         for name in self.scene.insertable:
             mine = (seen.body == self.scene.instance_id(name)).reshape(ones.shape)
             add("coverage", name, mine)
