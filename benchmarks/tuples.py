@@ -17,7 +17,6 @@ import numpy as np
 import tyro
 
 from datagen.backends import Backend, RendererName, RenderJob, RenderSettings, open_backend
-from datagen.compose import composite, target
 from datagen.config import DatasetConfig
 from datagen.denoise import denoise_all
 from datagen.layers import Float32, LayerStack
@@ -103,12 +102,24 @@ def light_by_light(backend: Backend, case: Case, spp: int, view: int) -> tuple[f
     shoot = Shoot(backend, case.scene, case.rig, case.settings(spp), denoise=True, keep_raw=False)
     start = time.process_time()
     data = render_view(shoot, view, Stopwatch()).data
-    for name in case.scene.insertable:
-        for base in case.conditions:
-            target(data, base)
-            for insert in case.conditions:
-                composite(data, name, insert=insert, base=base)
+    make_tuples(case, data)
     return time.process_time() - start, data
+
+
+def make_tuples(case: Case, data: ViewData) -> None:
+    """Mix every tuple: each variant under each condition once, then each object over each background."""
+
+    def lit(variant: str) -> list[Float32]:
+        return [mix(data.variants[variant], data.lights, condition) for condition in case.conditions]
+
+    lit("all")
+    for name in case.scene.insertable:
+        clear = 1 - data.coverage[name][..., None]
+        objects = lit(f"foreground_{name}")
+        for background in lit(f"without_{name}"):
+            behind = clear * background
+            for thing in objects:
+                np.add(thing, behind)
 
 
 def one_by_one(backend: Backend, case: Case, spp: int, condition: LightingCondition) -> tuple[float, Float32]:
