@@ -27,9 +27,9 @@ def load_in_any_order(libraries: Sequence[str]) -> None:
         loaded = False
         for library in tuple(waiting):
             try:
-                ctypes.CDLL(library)
+                ctypes.CDLL(library, mode=ctypes.RTLD_GLOBAL)
             except OSError:
-                continue
+                continue  # needs one of the others first
             waiting.remove(library)
             loaded = True
 
