@@ -12,6 +12,6 @@ if "bpy" not in sys.modules:
     # What `make system-libraries` unpacked where there was no root to install it.
     load_in_any_order([str(path) for path in sorted((Path(sys.prefix) / "system").rglob("lib*.so.*"))])
 
-from datagen.backends.blender.backend import BlenderBackend  # noqa: E402
+from datagen.backends.blender.backend import BlenderBackend
 
 __all__ = ["BlenderBackend"]
