@@ -71,7 +71,7 @@ endif
 	touch $@
 
 .venv/installed: .venv/python pyproject.toml constraints.txt
-	$(PIP) -e .
+	$(PIP) -e '.[render]'
 	@$(BIN)/python -c 'from datagen.backends import blender; import drjit' 2>/dev/null || $(MAKE) system-libraries
 	touch $@
 

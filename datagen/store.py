@@ -112,12 +112,22 @@ def read_view(path: Path) -> ViewData:
 
 def read_scene(folder: Path) -> SceneRecord:
     """Read `scene.json` of a scene's folder; raises `StoreError` naming the file and the reason."""
-    return _read_record(folder / "scene.json", SceneRecord)
+    return parse_scene(_read_bytes(folder / "scene.json"), str(folder / "scene.json"))
 
 
 def read_dataset(root: Path) -> DatasetRecord:
     """Read `dataset.json`; raises `StoreError` naming the file and the reason."""
-    return _read_record(root / "dataset.json", DatasetRecord)
+    return parse_dataset(_read_bytes(root / "dataset.json"), str(root / "dataset.json"))
+
+
+def parse_scene(content: bytes, name: str) -> SceneRecord:
+    """Understand the content of a `scene.json`; raises `StoreError` with `name` and the reason."""
+    return _parse(content, name, SceneRecord)
+
+
+def parse_dataset(content: bytes, name: str) -> DatasetRecord:
+    """Understand the content of a `dataset.json`; raises `StoreError` with `name` and the reason."""
+    return _parse(content, name, DatasetRecord)
 
 
 def scene_indices(root: Path) -> list[int]:
@@ -128,17 +138,24 @@ def scene_indices(root: Path) -> list[int]:
     return sorted(int(p.name) for p in folder.iterdir() if p.name.isdigit() and (p / "scene.json").is_file())
 
 
-def _read_record(path: Path, kind: type[_Record]) -> _Record:
+def _read_bytes(path: Path) -> bytes:
     try:
-        return kind.from_json(path.read_text())
+        return path.read_bytes()
     except FileNotFoundError:
         raise StoreError(f"{path} is missing: not a dataset, or not finished") from None
-    except (OSError, UnicodeDecodeError) as error:
+    except OSError as error:
         raise StoreError(f"{path} cannot be read: {error}") from None
+
+
+def _parse(content: bytes, name: str, kind: type[_Record]) -> _Record:
+    try:
+        return kind.from_json(content.decode())
+    except UnicodeDecodeError as error:
+        raise StoreError(f"{name} cannot be read: {error}") from None
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
-        raise StoreError(f"{path} is damaged or of another version: {key or 'content'}: {first['msg']}") from None
+        raise StoreError(f"{name} is damaged or of another version: {key or 'content'}: {first['msg']}") from None
 
 
 def _radiance(values: Float32) -> NDArray[np.floating]:

@@ -7,8 +7,9 @@ from typing import get_args
 import pytest
 from pydantic import ValidationError
 
-from datagen import cli, config, presets
+from datagen import config, presets
 from datagen.cli import main
+from datagen.commands import make
 from datagen.config import DatasetConfig, config_keys, load_config
 from datagen.config_table import config_rows
 from datagen.errors import UserError
@@ -30,9 +31,9 @@ def test_presets_are_valid_and_differ(preset: presets.Preset) -> None:
 
 
 def test_the_command_line_names_what_the_configuration_knows() -> None:
-    assert set(get_args(cli.Preset)) == set(get_args(presets.Preset)) == set(PRESETS)
-    assert set(get_args(cli.Kind)) == {*get_args(config.Kind), "mixed"}
-    assert get_args(cli.Renderer) == get_args(config.Renderer)
+    assert set(get_args(presets.Preset)) == set(PRESETS)
+    assert set(get_args(make.Kind)) == {*get_args(config.Kind), "mixed"}
+    assert get_args(make.Renderer) == get_args(config.Renderer)
 
 
 def test_file_goes_over_preset_and_options_over_file(tmp_path: Path) -> None:

@@ -1,0 +1,132 @@
+"""Commands that look at what was made: `verify`, `mix`, `sheet`, `stats`."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import tyro
+
+from datagen.errors import UserError
+from datagen.presets import Preset
+
+if TYPE_CHECKING:
+    from datagen.stats.collect import Summary
+
+
+@dataclass
+class Verify:
+    """Check everything that was written: files, values and identities; exit code 1 on any fault."""
+
+    dir: tyro.conf.Positional[Path]
+    """Folder of the dataset."""
+    json: bool = False
+    """Print JSON instead of a table."""
+
+    def run(self) -> int:
+        """Verify and return the exit code."""
+        from datagen.report import print_verification
+        from datagen.verify import verify_dataset
+
+        return print_verification(self.dir, verify_dataset(self.dir), as_json=self.json)
+
+
+@dataclass
+class Mix:
+    """Make a picture of a stored view under any lighting."""
+
+    dir: tyro.conf.Positional[Path]
+    """Folder of the dataset."""
+    out: Path = field(kw_only=True)
+    """Picture to write: .png (tone-mapped) or .exr (scene-linear float)."""
+    scene: int = 0
+    """Index of the scene."""
+    view: int = 0
+    """Number of the view."""
+    condition: str = "all"
+    """Lighting: a condition's name, a JSON file, or random:SEED."""
+    insert_condition: str | None = None
+    """Lighting of the inserted object in a composite; as --condition."""
+    object: str | None = None
+    """Insertable object (default: the first)."""
+    what: Literal["target", "background", "composite", "effect"] | None = None
+    """What to make (default: composite with --insert-condition, else target)."""
+
+    def run(self) -> int:
+        """Write the picture and return the exit code."""
+        from datagen.mixing import MixRequest, write_mix
+
+        what = self.what or ("composite" if self.insert_condition else "target")
+        insert = self.insert_condition or self.condition
+        write_mix(MixRequest(self.dir, self.scene, self.view, what, self.condition, insert, self.object), self.out)
+        return 0
+
+
+@dataclass
+class Sheet:
+    """Write a contact sheet: scenes x (background, composite, target, depth, effect)."""
+
+    dir: tyro.conf.Positional[Path]
+    """Folder of the dataset."""
+    out: Path = field(kw_only=True)
+    """PNG file to write."""
+    scenes: int = 24
+    """Most scenes to show."""
+
+    def run(self) -> int:
+        """Write the sheet and return the exit code."""
+        from datagen.sheet import contact_sheet
+        from datagen.store import scene_dir, scene_indices
+
+        indices = scene_indices(self.dir)[: self.scenes]
+        if not indices:
+            raise UserError(f"{self.dir} holds no finished scene; make some with: multilight dataset --out {self.dir}")
+        contact_sheet(scene_dir(self.dir, index) for index in indices).save(self.out)
+        print(f"contact sheet: {self.out}")
+        return 0
+
+
+@dataclass
+class Stats:
+    """Measure how varied a dataset is: histograms, coverage, leaks between splits, near-duplicate scenes."""
+
+    dir: tyro.conf.Positional[Path | None] = None
+    """Folder of the dataset."""
+    sample: int | None = None
+    """Instead: sample this many scenes without rendering, and measure those."""
+    out: Path | None = None
+    """Folder for index.html and stats.json (default: stats in the dataset's folder; with --sample: none)."""
+    preset: Preset | None = None
+    """With --sample: named starting point of the configuration."""
+    config: Path | None = None
+    """With --sample: TOML file of the configuration."""
+    assets: tuple[Path, ...] = ()
+    """Folders of your own models that the scenes use."""
+
+    def run(self) -> int:
+        """Measure, print a table, write the page and return the exit code: 1 where something leaks."""
+        from datagen.stats.page import print_summary, write_page
+
+        summary, out = self._measure()
+        print_summary(summary)
+        if out is not None:
+            write_page(summary, out)
+            print(f"statistics: {out / 'index.html'}")
+        return 1 if summary.leaks else 0
+
+    def _measure(self) -> "tuple[Summary, Path | None]":
+        from datagen.config import load_config
+        from datagen.report import progress
+        from datagen.stats.collect import measure_dataset, measure_samples
+        from scenes.assets.library import AssetLibrary
+
+        if (self.dir is None) == (self.sample is None):
+            raise UserError("say either which dataset to measure (multilight stats DIR) or --sample N")
+        with progress("scenes") as report:
+            if self.dir is not None:
+                library = AssetLibrary(folders=self.assets)
+                return measure_dataset(self.dir, library, report), self.out or self.dir / "stats"
+            assert self.sample is not None
+            if self.sample < 1:
+                raise UserError(f"--sample {self.sample} must be 1 or more")
+            config = load_config(self.config, {}, self.preset)
+            return measure_samples(config, self.sample, AssetLibrary(folders=self.assets), report), self.out

@@ -1,0 +1,1 @@
+"""Learning from the data: the only room for torch."""
