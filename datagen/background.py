@@ -1,5 +1,6 @@
 """A dataset's assets, with the scene file it is set in; `.blend` files are converted by a Blender of their own."""
 
+import contextlib
 import hashlib
 import os
 import subprocess
@@ -8,6 +9,8 @@ import uuid
 from pathlib import Path
 
 from datagen.config import DatasetConfig
+from datagen.errors import UserError
+from scenes.assets.background import PACK
 from scenes.assets.cache import default_cache, sources_key
 from scenes.assets.library import AssetError, AssetLibrary
 from scenes.custom import background_bodies, find_places
@@ -20,9 +23,23 @@ _CONVERTER = "datagen.backends.blender.convert"
 def open_library(config: DatasetConfig, folders: tuple[Path, ...] = ()) -> AssetLibrary:
     """Open the assets a dataset draws from; raises `AssetError` where the background cannot be read."""
     background = config.background
+    if config.kind == "imported" and background is not None:
+        return _stage_library(background, folders)
     if background is not None and background.suffix.lower() == ".blend":
         background = converted_blend(background, default_cache())
     return AssetLibrary(folders=folders, background=background)
+
+
+def _stage_library(stage: Path, folders: tuple[Path, ...]) -> AssetLibrary:
+    """Open the assets of an exported stage: what is installed, and only where that does not do, what the stage has."""
+    from datagen.export.usd.read import read_stage  # imports pxr, which few need
+
+    installed = AssetLibrary(folders=folders)
+    with contextlib.suppress(UserError):
+        found = read_stage(stage, installed)
+        if not any(f'"{PACK}/' in spec.canonical_json() for spec in (found.scene, found.rig)):
+            return installed
+    return AssetLibrary(folders=folders, background=stage)
 
 
 def check_background(config: DatasetConfig) -> None:
@@ -30,7 +47,7 @@ def check_background(config: DatasetConfig) -> None:
 
     Raises `AssetError` in one line with the file, what is wrong and the remedy.
     """
-    if config.background is not None:
+    if config.background is not None and config.kind != "imported":
         library = open_library(config)
         find_places(background_bodies(library), library)
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Union
 
 import tyro
 
-from datagen.commands import installed, look, make
+from datagen.commands import export, import_scene, installed, look, make, pack, query
 from datagen.errors import UserError
 
 COMMANDS: dict[str, type] = {
@@ -17,6 +17,10 @@ COMMANDS: dict[str, type] = {
     "mix": look.Mix,
     "sheet": look.Sheet,
     "stats": look.Stats,
+    "query": query.Query,
+    "export": export.Export,
+    "import": import_scene.Import,
+    "pack": pack.Pack,
     "assets": installed.Assets,
     "config": installed.Config,
     "doctor": installed.Doctor,
@@ -58,6 +62,6 @@ def main(arguments: list[str] | None = None, commands: Mapping[str, type] = COMM
 
 def _is_for_users(error: RuntimeError) -> bool:
     from datagen.backends import BackendError
-    from scenes.assets.library import AssetError
+    from scenes.assets.info import AssetError
 
     return isinstance(error, (UserError, BackendError, AssetError))

@@ -14,7 +14,7 @@ from scenes.frozen import Frozen, UnitFloat
 from scenes.paths import CameraSettings
 from scenes.splits import Split, SplitShares, scene_place, scene_split
 
-Kind = Literal["tabletop", "room", "outdoor", "studio", "custom", "spheres"]
+Kind = Literal["tabletop", "room", "outdoor", "studio", "custom", "spheres", "imported"]
 Renderer = Literal["auto", "mitsuba", "cycles", "analytic"]
 
 PIXELS, METRES = {"unit": "px"}, {"unit": "m"}
@@ -51,7 +51,8 @@ class DatasetConfig(Frozen):
     scenes: Annotated[int, Field(ge=1, le=1_000_000)] = 4
     """Number of scenes; may grow when a dataset is continued."""
     kind: Kind | Literal["mixed"] = "tabletop"
-    """Kind of scene; `mixed` draws one for each scene; `spheres` goes with the closed-form renderer."""
+    """Kind of scene; `mixed` draws one for each scene; `spheres` goes with the closed-form renderer; `imported` is the
+    scene of an exported stage, as `multilight import` sets it."""
     kinds: KindShares = KindShares()
     """Shares of the kinds where `kind` is `mixed`."""
     splits: SplitShares = SplitShares()
@@ -59,7 +60,8 @@ class DatasetConfig(Frozen):
     ood_kinds: tuple[Kind, ...] = ()
     """Kinds that only scenes of the split `test_ood` are of; empty: those differ in assets and places only."""
     background: Path | None = None
-    """GLB, glTF, USD or .blend file that scenes of kind `custom` are set in; scripts in it never run."""
+    """GLB, glTF, USD or .blend file that scenes of kind `custom` are set in (scripts in it never run), or the stage of
+    kind `imported`."""
     renderer: Renderer = "auto"
     """`auto` takes the fastest that is installed."""
     width: Annotated[int, Field(ge=16, le=8192, json_schema_extra=PIXELS)] = 256
@@ -98,10 +100,16 @@ class DatasetConfig(Frozen):
 
     @model_validator(mode="after")
     def _background_goes_with_custom(self) -> "DatasetConfig":
-        if (self.kind == "custom" or "custom" in self.ood_kinds) != (self.background is not None):
+        if bool({"custom", "imported"} & {self.kind, *self.ood_kinds}) != (self.background is not None):
             raise ValueError(
                 "kind custom and background go together: say --kind custom --background FILE (GLB, glTF, USD or .blend)"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _a_stage_is_one_scene(self) -> "DatasetConfig":
+        if "imported" in self.ood_kinds or (self.kind == "imported" and self.scenes != 1):
+            raise ValueError("a stage holds one scene; make a dataset of it with: multilight import usd FILE --out DIR")
         return self
 
     @model_validator(mode="after")

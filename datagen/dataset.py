@@ -106,7 +106,7 @@ def default_workers(scenes: int) -> int:
 
 
 def _check_kind(config: DatasetConfig, renderer: RendererName) -> None:
-    if renderer == "analytic" and config.kind != "spheres":
+    if renderer == "analytic" and config.kind not in ("spheres", "imported"):
         raise UserError(
             f"renderer 'analytic' is a closed form for spheres on a plane and cannot render kind {config.kind!r}; "
             "use --kind spheres, or --renderer cycles"

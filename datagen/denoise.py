@@ -182,6 +182,8 @@ class _Denoiser(threading.local):
         device.num_threads = 1
         self.filter: Any = device.new_filter("RT")
         self.filter.hdr = True
+        # The guides come from the same samples as the colour, so what noise they have the colour shares.
+        self.filter.clean_aux = True
 
 
 @cache

@@ -1,43 +1,145 @@
 """The index: one Parquet row a scene, for look-ups without opening the scenes."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import polars as pl
 
 from datagen.records import SceneRecord
 from datagen.store import read_scene, scene_dir, scene_indices
+from lights.extent import angular_diameter
+from scenes.cameras import focal_length_mm
+from scenes.looks import is_mirror, material_class
+
+_TEXTS, _NUMBERS = pl.List(pl.String), pl.List(pl.Float64)
+COLUMNS: dict[str, tuple[pl.DataType, str]] = {
+    "index": (pl.Int64(), "number of the scene"),
+    "seed": (pl.Int64(), "seed of the dataset"),
+    "kind": (pl.String(), "tabletop, room, studio, outdoor, custom or spheres"),
+    "split": (pl.String(), "train, val, test or test_ood"),
+    "renderer": (pl.String(), "mitsuba, cycles or analytic"),
+    "denoised": (pl.Boolean(), "whether the layers were denoised"),
+    "attempt": (pl.Int64(), "draws thrown away before this one"),
+    "views": (pl.Int64(), "number of views"),
+    "width": (pl.Int64(), "of a view, pixels"),
+    "height": (pl.Int64(), "of a view, pixels"),
+    "lens_mm": (_NUMBERS, "each view's focal length, full frame"),
+    "depth_of_field": (pl.Boolean(), "whether any view is out of focus somewhere"),
+    "objects": (pl.Int64(), "number of objects"),
+    "insertable": (_TEXTS, "names of the objects that can be taken out"),
+    "categories": (_TEXTS, "each object's: vase, mug"),
+    "surroundings": (_TEXTS, "categories of all else, each once: sofa, window"),
+    "materials": (_TEXTS, "looks of the objects, each once: mirror, metal, glass, coated, glossy, satin, matte"),
+    "mirror": (pl.Boolean(), "whether something in the scene mirrors the objects"),
+    "lights": (_TEXTS, "names of the lights, one a layer"),
+    "light_kinds": (_TEXTS, "each light's: environment, sun, point, spot, area, emissive"),
+    "light_shares": (_NUMBERS, "each light's share of the light in the pictures, of 1"),
+    "light_sizes_deg": (_NUMBERS, "each light's diameter as the objects see it; null: environment, emissive"),
+    "temperatures_k": (_NUMBERS, "each light's colour temperature; null: coloured otherwise"),
+    "gels": (_TEXTS, "names of the colour gels, each once"),
+    "emissive": (pl.Boolean(), "whether something glows"),
+    "patterned": (pl.Boolean(), "whether a light throws a pattern (gobo), has a beam profile or shows a picture"),
+    "contrast_ev": (pl.Float64(), "strongest light against all others in the pictures; null: a single light"),
+    "hardest_deg": (pl.Float64(), "smallest diameter of a lamp or sun that gives a tenth of the light; small: hard"),
+    "conditions": (_TEXTS, "names of the lighting conditions"),
+    "licences": (_TEXTS, "of the assets, each once"),
+    "bytes": (pl.Int64(), "of all views"),
+    "scene_sha256": (pl.String(), "hash of what is there"),
+    "rig_sha256": (pl.String(), "hash of what shines"),
+}
+"""Each column's type and meaning."""
+
+KEY_SHARE = 0.1  # of the light in the pictures: a lamp that gives less shapes no shadows one would notice
 
 
 def write_index(root: Path) -> None:
     """Write `index.parquet` anew from the finished scenes, under a temporary name first."""
-    rows = [index_row(read_scene(scene_dir(root, index))) for index in scene_indices(root)]
+    table = index_table(read_scene(scene_dir(root, index)) for index in scene_indices(root))
     path = root / "index.parquet"
     temporary = path.with_suffix(".tmp")
-    pl.DataFrame(rows).write_parquet(temporary)
+    table.write_parquet(temporary)
     temporary.replace(path)
+
+
+def index_table(records: Iterable[SceneRecord]) -> pl.DataFrame:
+    """Summarize scenes, a row each, ordered by index; columns as in `COLUMNS`."""
+    schema = {name: kind for name, (kind, _) in COLUMNS.items()}
+    return pl.DataFrame([index_row(record) for record in records], schema=schema).sort("index")
 
 
 def index_row(record: SceneRecord) -> dict[str, Any]:
     """Summarize a scene: what is in it, what shines, how large it is."""
-    objects = [body for body in record.scene.bodies if body.role == "object"]
     return {
         "index": record.index,
         "seed": record.seed,
         "kind": record.scene.kind,
         "split": record.split,
         "renderer": record.renderer,
-        "views": len(record.views),
-        "width": record.views[0].width,
-        "height": record.views[0].height,
-        "objects": len(objects),
-        "insertable": list(record.scene.insertable),
-        "categories": [body.category for body in objects],
-        "lights": list(record.rig.names),
-        "light_kinds": [light.kind for light in record.rig.lights],
-        "emissive": any(light.kind == "emissive" for light in record.rig.lights),
+        "denoised": record.denoised,
+        "attempt": record.attempt,
         "conditions": [condition.name for condition in record.conditions],
+        "licences": sorted({credit.licence for credit in record.assets}),
         "bytes": sum(view.bytes for view in record.views),
         "scene_sha256": record.scene_sha256,
         "rig_sha256": record.rig_sha256,
+        **_cameras(record),
+        **_bodies(record),
+        **_lights(record),
     }
+
+
+def _cameras(record: SceneRecord) -> dict[str, Any]:
+    cameras = record.scene.cameras
+    return {
+        "views": len(record.views),
+        "width": record.views[0].width,
+        "height": record.views[0].height,
+        "lens_mm": [round(focal_length_mm(camera), 1) for camera in cameras],
+        "depth_of_field": any(camera.aperture_radius > 0 for camera in cameras),
+    }
+
+
+def _bodies(record: SceneRecord) -> dict[str, Any]:
+    objects = [body for body in record.scene.bodies if body.role == "object"]
+    return {
+        "objects": len(objects),
+        "insertable": list(record.scene.insertable),
+        "categories": [body.category for body in objects],
+        "surroundings": sorted({body.category for body in record.scene.bodies if body.role != "object"}),
+        "materials": sorted({material_class(material) for body in objects for material in body.materials}),
+        "mirror": any(is_mirror(body) for body in record.scene.bodies),
+    }
+
+
+def _lights(record: SceneRecord) -> dict[str, Any]:
+    lights = record.rig.lights
+    places = [body.world_from_body for body in record.scene.bodies if body.role == "object"]
+    middle = np.mean([np.array(pose)[:3, 3] for pose in places], axis=0) if places else np.zeros(3)
+    diameters = [angular_diameter(light, middle) for light in lights]
+    sizes = [None if size is None else round(float(np.degrees(size)), 3) for size in diameters]
+    shares = light_shares(record)
+    strongest = max(shares)
+    shaping = [size for size, share in zip(sizes, shares, strict=True) if size is not None and share >= KEY_SHARE]
+    patterned = ("gobo", "profile", "texture")
+    return {
+        "lights": list(record.rig.names),
+        "light_kinds": [light.kind for light in lights],
+        "light_shares": [round(share, 4) for share in shares],
+        "light_sizes_deg": sizes,
+        "temperatures_k": [light.colour_temperature for light in lights],
+        "gels": sorted({light.gel for light in lights if light.gel}),
+        "emissive": any(light.kind == "emissive" for light in lights),
+        "patterned": any(getattr(light, key, None) for light in lights for key in patterned),
+        "contrast_ev": round(float(np.log2(strongest / (1.0 - strongest))), 2) if 0 < strongest < 1 else None,
+        "hardest_deg": min(shaping, default=None),
+    }
+
+
+def light_shares(record: SceneRecord) -> list[float]:
+    """Return each light's share of the radiance in all views before denoising, in the rig's order; zeros if dark."""
+    names = record.rig.names
+    means = [np.mean([view.energy["all"][name].mean for view in record.views]) for name in names]
+    total = float(np.sum(means))
+    return [float(mean) / total if total > 0 else 0.0 for mean in means]

@@ -1,5 +1,6 @@
 """One stored view under any lighting, as a picture: the command `mix`."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +15,8 @@ from datagen.exposure import meter_condition, thumbnail
 from datagen.layers import Float32
 from datagen.records import SceneRecord
 from datagen.sheet import effect_picture
-from datagen.store import ViewData, read_scene, read_view, scene_dir, scene_indices
+from datagen.source import open_dataset
+from datagen.store import ViewData
 from lights.conditions import random_condition
 from lights.spec import LightingCondition
 from lights.tonemap import to_display
@@ -25,7 +27,7 @@ from scenes.streams import Streams
 class MixRequest:
     """Which picture: a view of a scene, what to make of it, and the lighting of base and inserted object."""
 
-    root: Path
+    address: str
     scene: int
     view: int
     what: str
@@ -38,18 +40,16 @@ def write_mix(request: MixRequest, out: Path) -> None:
     """Make the picture and write it; raises `UserError` naming the value and those allowed."""
     if out.suffix not in (".png", ".exr"):
         raise UserError(f"--out {out}: the suffix must be .png or .exr")
-    folder = scene_dir(request.root, request.scene)
-    if request.scene not in scene_indices(request.root):
-        raise UserError(
-            f"--scene {request.scene} is not in {request.root}; it has {_short(scene_indices(request.root))}"
-        )
-    record = read_scene(folder)
+    source = open_dataset(request.address)
+    if request.scene not in source.indices:
+        raise UserError(f"--scene {request.scene} is not in {request.address}; it has {_short(source.indices)}")
+    record = source.scene(request.scene)
     if not 0 <= request.view < len(record.views):
         raise UserError(f"--view {request.view} must be 0 to {len(record.views) - 1}")
     name = request.object or record.scene.insertable[0]
     if name not in record.scene.insertable:
         raise UserError(f"--object {name} is not insertable; choose one of {list(record.scene.insertable)}")
-    view = read_view(folder / record.views[request.view].file)
+    view = source.view(record, request.view)
     base = find_condition(request.condition, record, view)
     insert = find_condition(request.insert_condition, record, view)
     picture = _picture(request.what, view, name, insert, base)
@@ -97,5 +97,5 @@ def _picture(what: str, view: ViewData, name: str, insert: LightingCondition, ba
             return compose.effect(view, name, base)
 
 
-def _short(indices: list[int]) -> str:
+def _short(indices: Sequence[int]) -> str:
     return f"{indices[0]} to {indices[-1]}" if indices else "none"

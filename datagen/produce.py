@@ -20,6 +20,7 @@ from lights.conditions import sample_conditions
 from lights.rigs import SPHERES_KINDS, sample_rig
 from lights.spec import EmissiveLight, EnvironmentLight, LightRig
 from scenes.assets.library import AssetError, AssetLibrary
+from scenes.contact import check_contacts
 from scenes.custom import sample_custom
 from scenes.outdoor import sample_outdoor
 from scenes.rooms.sample import RoomSettings, sample_room
@@ -75,9 +76,21 @@ def sample_scene(config: DatasetConfig, library: AssetLibrary, streams: Streams)
             streams, index=streams.scene, width=config.width, height=config.height, views=config.views
         )
         return scene, sample_rig(streams, scene, library, kinds=SPHERES_KINDS)
+    if kind == "imported":
+        from datagen.export.usd.read import read_stage  # imports pxr, which few need
+
+        assert config.background is not None
+        found = read_stage(config.background, library)
+        return found.scene, found.rig
     library = library.restricted(config.split_of(streams.scene))
     if kind == "room":
-        room = RoomSettings(width=config.width, height=config.height, views=config.views, insertable=config.insertable)
+        room = RoomSettings(
+            width=config.width,
+            height=config.height,
+            views=config.views,
+            insertable=config.insertable,
+            cameras=config.cameras,
+        )
         scene = sample_room(streams, library, index=streams.scene, settings=room)
         return scene, sample_rig(streams, scene, library, lights=config.lights)
     if kind not in SAMPLERS:
@@ -132,6 +145,10 @@ def _told(fault: Fault) -> str:
 def _write_scene(maker: Maker, streams: Streams, work: Path, watch: Stopwatch) -> list[Fault]:
     """Draw and render a scene into a folder, view by view; return the faults of the first view that has any."""
     record = _draw(maker, streams)
+    # What is imported is taken as it is.
+    faults = [] if maker.config.kind == "imported" else contact_faults(record.scene, maker.library)
+    if faults:
+        return faults
     shoot = Shoot(
         maker.backend,
         record.scene,
@@ -161,6 +178,19 @@ def _write_scene(maker: Maker, streams: Streams, work: Path, watch: Stopwatch) -
     save_preview(work, record)
     write_text(work / "scene.json", record.model_dump_json(indent=1))
     return [f for number, found in enumerate(brightnesses) for f in verify_exposure(record, number, found)]
+
+
+def contact_faults(scene: SceneSpec, library: AssetLibrary) -> list[Fault]:
+    """List the bodies that lie more than a millimetre in another, and those that nothing carries.
+
+    Spheres need no look: they are placed by their radii.
+    """
+    if scene.kind == "spheres":
+        return []
+    report = check_contacts(scene.bodies, library)
+    told = [f"{o.first} and {o.second} lie {o.depth * 1000:.1f} mm in each other" for o in report.overlaps]
+    told += [f"nothing carries {name}" for name in report.unsupported]
+    return [Fault(scene.index, None, "contacts", message) for message in told]
 
 
 def _draw(maker: Maker, streams: Streams) -> SceneRecord:

@@ -5,7 +5,6 @@ import json
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict
-from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -58,7 +57,7 @@ def _plain_report(console: Console, unit: str, start: float) -> Callable[[float,
     return report
 
 
-def print_verification(root: Path, results: Iterable[tuple[int, list[Fault]]], *, as_json: bool) -> int:
+def print_verification(root: str, results: Iterable[tuple[int, list[Fault]]], *, as_json: bool) -> int:
     """Print what was checked and return the exit code: 1 on any fault or where there is no scene."""
     checked = list(results)
     faults = [fault for _, found in checked for fault in found]
@@ -71,7 +70,7 @@ def print_verification(root: Path, results: Iterable[tuple[int, list[Fault]]], *
     return 1 if faults or not checked else 0
 
 
-def _print_table(root: Path, checked: list[tuple[int, list[Fault]]]) -> None:
+def _print_table(root: str, checked: list[tuple[int, list[Fault]]]) -> None:
     table = Table(title=f"{root}: {len(checked)} scenes")
     table.add_column("scene", justify="right")
     for check in CHECKS:

@@ -1,6 +1,6 @@
 """Contact sheets: scenes x (background, composite, target, depth, effect), tone-mapped for the eye."""
 
-from collections.abc import Iterable
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +10,8 @@ from PIL import Image, ImageDraw
 from datagen import compose
 from datagen.layers import Float32
 from datagen.records import SceneRecord
-from datagen.store import read_scene, read_view
+from datagen.source import DatasetSource
+from datagen.store import ViewData, read_view
 from lights.spec import LightingCondition
 from lights.tonemap import to_display
 
@@ -43,9 +44,8 @@ def two_conditions(record: SceneRecord, shift: int) -> tuple[LightingCondition, 
     return poor[shift % len(poor)], rich[shift % len(rich)]
 
 
-def scene_row(folder: Path, record: SceneRecord, *, view: int, shift: int) -> list[Pixels]:
+def scene_row(record: SceneRecord, data: ViewData, *, shift: int) -> list[Pixels]:
     """Make one row of pictures in the order of `COLUMNS`, each (H, W, 3) uint8."""
-    data = read_view(folder / record.views[view].file)
     largest = max(data.coverage, key=lambda name: float(data.coverage[name].sum()))
     insert, base = two_conditions(record, shift)
     return [
@@ -67,13 +67,12 @@ def save_preview(folder: Path, record: SceneRecord) -> None:
     image.save(folder / "preview.png")
 
 
-def contact_sheet(folders: Iterable[Path], *, cell: int = 256) -> Image.Image:
-    """Lay out one row a scene; every scene shows another view and another pair of lightings."""
+def contact_sheet(source: DatasetSource, *, scenes: int, cell: int = 256) -> Image.Image:
+    """Lay out one row a scene, of the first ones; every scene shows another view and another pair of lightings."""
     rows = []
-    for number, folder in enumerate(folders):
-        record = read_scene(folder)
+    for number, record in enumerate(islice(source.scenes(), scenes)):
         view = (len(record.views) * (2 * number + 1) // 5) % len(record.views)
-        rows.append((record, view, scene_row(folder, record, view=view, shift=number)))
+        rows.append((record, view, scene_row(record, source.view(record, view), shift=number)))
     height, width = rows[0][2][0].shape[:2]
     cell_h = round(cell * height / width)
     size = (MARGIN + len(COLUMNS) * (cell + MARGIN), HEADER + len(rows) * (cell_h + HEADER))

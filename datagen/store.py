@@ -107,7 +107,7 @@ def read_view(path: Path) -> ViewData:
             raw={part[len(RAW) :]: layers for part, layers in stored.items() if part.startswith(RAW)},
         )
     except KeyError as error:
-        raise StoreError(f"{path}: channel {error} is missing; the file is not a view of this layout") from None
+        raise StoreError(f"{path}: channel {error} is missing; damaged, or not a view of this layout") from None
 
 
 def read_scene(folder: Path) -> SceneRecord:
@@ -200,9 +200,13 @@ def _read_channels(path: Path) -> dict[str, NDArray[np.generic]]:
         raise StoreError(f"{path} is missing")
     try:
         parts = OpenEXR.File(str(path), separate_channels=True).parts
-        return {name: channel.pixels for part in parts for name, channel in part.channels.items()}
+        pixels = {name: channel.pixels for part in parts for name, channel in part.channels.items()}
     except Exception as error:  # the binding raises bare RuntimeError and others for damaged files
         raise StoreError(f"{path} cannot be decoded (truncated or damaged): {error}") from None
+    # Of parts that it cannot decode the binding only prints a warning, and leaves them out.
+    if [part.part_index for part in parts] != list(range(len(parts))):
+        raise StoreError(f"{path} cannot be decoded (truncated or damaged): parts of it are lost")
+    return pixels
 
 
 def _color(channels: Mapping[str, NDArray[np.generic]], prefix: str) -> Float32:

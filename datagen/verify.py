@@ -13,6 +13,7 @@ from datagen.errors import StoreError
 from datagen.exposure import BRIGHT, DARK
 from datagen.layers import Float32
 from datagen.records import SceneRecord, ViewRecord
+from datagen.source import open_dataset
 from datagen.store import ViewData, file_sha256, read_dataset, read_scene, read_view, scene_dir, scene_indices
 from lights.spec import LightingCondition
 from lights.tonemap import luminance
@@ -51,11 +52,23 @@ CHECKS = (
 )
 
 
-def verify_dataset(root: Path) -> Iterator[tuple[int, list[Fault]]]:
-    """Check every finished scene of a dataset, one after the other; raises `StoreError` if it is none."""
-    read_dataset(root)
-    for index in scene_indices(root):
-        yield index, verify_scene(scene_dir(root, index))
+def verify_dataset(address: str | Path) -> Iterator[tuple[int, list[Fault]]]:
+    """Check every scene of a dataset, one after the other; raises `StoreError` if it is none.
+
+    In a folder these are all finished scenes; at a remote address those of the index, each fetched whole.
+    """
+    if Path(address).is_dir():
+        read_dataset(Path(address))
+        for index in scene_indices(Path(address)):
+            yield index, verify_scene(scene_dir(Path(address), index))
+        return
+    source = open_dataset(address)
+    for index in source.indices:
+        try:
+            with source.local_scene(index) as folder:
+                yield index, verify_scene(folder)
+        except StoreError as error:
+            yield index, [Fault(index, None, "files", str(error))]
 
 
 def verify_scene(folder: Path) -> list[Fault]:

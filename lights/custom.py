@@ -62,7 +62,7 @@ def custom_lights(scene: SceneSpec, library: AssetLibrary) -> tuple[Light, ...]:
     lights = []
     for found in library.background.lights:
         if max(found.amount) > 0:
-            lights.append(_light(found, turn, _name(found.name, names)))
+            lights.append(light_from_found(found, turn, _name(found.name, names)))
             names.add(lights[-1].name)
     return tuple(lights)
 
@@ -91,7 +91,7 @@ def _radiometric(found: FoundLight) -> Rgb:
     return red, green, blue
 
 
-def _light(found: FoundLight, turn: Float64, name: str) -> Light:
+def light_from_found(found: FoundLight, turn: Float64, name: str) -> Light:
     """Translate one light into the scene's world."""
     pose = turn @ np.array(found.pose)
     position, direction = _vector(pose[:3, 3]), _vector(-pose[:3, 2])

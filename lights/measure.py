@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lights.colour import temperature_of
+from lights.extent import angular_diameter
 from lights.irradiance import StillLife, map_directions, small_map
 from lights.radiometry import photometric_from_watts
 from lights.spec import AreaLight, EmissiveLight, EnvironmentLight, Light, LightRig, PointLight, SpotLight, SunLight
@@ -90,24 +91,27 @@ def _extent(light: Light, place: StillLife) -> tuple[Float64, float]:
     match light:
         case EnvironmentLight():
             return _spread(light, place)
-        case SunLight():
-            way = -np.array(light.direction)
-            return way / np.linalg.norm(way), light.angle
-        case PointLight() | SpotLight():
-            way = np.array(light.position) - place.foot
-            return way / np.linalg.norm(way), 2.0 * float(np.arctan(light.radius / np.linalg.norm(way)))
-        case AreaLight():
-            pose = np.array(light.world_from_light)
-            way = pose[:3, 3] - place.foot
-            cosine = abs(float(pose[:3, 2] @ way)) / float(np.linalg.norm(way))
-            area = light.width * light.height * (np.pi / 4 if light.shape == "disk" else 1.0) * cosine
-            return way / np.linalg.norm(way), 2.0 * float(np.arctan(np.sqrt(area / np.pi) / np.linalg.norm(way)))
+        case SunLight() | PointLight() | SpotLight() | AreaLight():
+            size = angular_diameter(light, place.foot)
+            assert size is not None
+            return _way(light, place), size
         case EmissiveLight():
             points = place.glowing_triangles(light).reshape(-1, 3)
             way = points.mean(axis=0) - place.aim
             distance = max(float(np.linalg.norm(way)), 1e-6)
             reach = float(np.linalg.norm(points - points.mean(axis=0), axis=1).max())
             return way / distance, 2.0 * float(np.arctan(reach / distance))
+
+
+def _way(light: SunLight | PointLight | SpotLight | AreaLight, place: StillLife) -> Float64:
+    match light:
+        case SunLight():
+            way = -np.array(light.direction)
+        case PointLight() | SpotLight():
+            way = np.array(light.position) - place.foot
+        case AreaLight():
+            way = np.array(light.world_from_light)[:3, 3] - place.foot
+    return np.asarray(way / np.linalg.norm(way))
 
 
 def _spread(light: EnvironmentLight, place: StillLife) -> tuple[Float64, float]:

@@ -11,8 +11,9 @@ from scenes.assets.library import AssetError, AssetLibrary
 from scenes.contact import Solids
 from scenes.physics.solids import Placed
 from scenes.rays import SceneRays, body_triangles
+from scenes.setting import Setting, make_body
 from scenes.spec import Body, SceneSpec
-from scenes.still_life import Setting, StillLifeSettings, make_body, sample_still_life
+from scenes.still_life import StillLifeSettings, sample_still_life
 from scenes.streams import Streams
 from scenes.support import FLATNESS, SupportSurface, largest_square
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scenes.assets.library import AssetLibrary
 from scenes.materials import METALS, body_materials, linear_from_hex, sample_material
 from scenes.placement import PlacementError
-from scenes.spec import Body, Material
-from scenes.still_life import Setting, make_body, without_box
+from scenes.setting import Setting, make_body, without_box
+from scenes.spec import Material
 from scenes.support import SupportError, find_support
 
 ReceiverKind = Literal[
@@ -129,8 +129,3 @@ def _pose_for(rng: np.random.Generator, setting: Setting, low: Float64, high: Fl
                 pose[:3, 3] = [*place, surface.height + GAP]
                 return pose
     raise PlacementError(f"a plate of {np.ptp(corners, axis=0).round(2)} m does not fit the surface")
-
-
-def is_mirror(body: Body) -> bool:
-    """Tell whether a body of the setting reflects like a mirror."""
-    return body.role != "object" and any(m.metallic == 1 and m.roughness <= 0.12 for m in body.materials)

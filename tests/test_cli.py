@@ -14,7 +14,7 @@ from datagen.records import SceneRecord
 from datagen.store import ViewData, view_file
 from tests.conftest import SPHERES
 
-COMMANDS = ("dataset", "scene", "verify", "mix", "sheet", "stats", "config", "assets", "doctor")
+COMMANDS = ("dataset", "scene", "verify", "mix", "sheet", "stats", "query", "export", "config", "assets", "doctor")
 
 
 def run(*words: object) -> int:

@@ -14,13 +14,14 @@ from datagen.cli import main
 from datagen.records import SceneRecord
 from datagen.stats.collect import measure_samples, summarize
 from datagen.stats.duplicates import alike_in_content, alike_in_picture, picture_hash
-from datagen.stats.facts import SceneFacts, material_class, scene_facts
+from datagen.stats.facts import SceneFacts, scene_facts
 from datagen.stats.pictures import colourfulness, dynamic_range
 from datagen.stats.plots import bar_plot, direction_plot
 from datagen.stats.quantities import QUANTITIES, Coverage, coverage_of, evenness, filled_share
 from datagen.store import read_scene, scene_dir
 from lights.spec import LightRig, SunLight
 from scenes.assets.library import AssetLibrary
+from scenes.looks import material_class
 from scenes.spec import Material
 from tests.conftest import SPHERES
 

@@ -230,6 +230,19 @@ def test_what_falls_over_is_not_placed(library: AssetLibrary) -> None:
     assert resting_poses(info, plain_mesh(leaning, arm)) == []
 
 
+@pytest.mark.parametrize(("slant", "rests"), [(0.002, True), (0.05, False)])
+def test_what_stands_unevenly_tips_a_little(library: AssetLibrary, slant: float, rests: bool) -> None:
+    info = next(i for i in library.list("object") if i.category == "mug")
+    wedge = moved(box((0.2, 0.1, 0.1)), 0, 0, 0.05)
+    wedge.vertices[(wedge.vertices[:, 2] < 0.01) & (wedge.vertices[:, 0] > 0), 2] += slant
+    poses = resting_poses(info, plain_mesh(wedge))
+    assert len(poses) == rests
+    for pose in poses:
+        assert np.arccos(pose.turn[2, 2]) == pytest.approx(np.arctan(slant / 0.2), rel=1e-3)
+        heights = (plain_mesh(wedge).vertices() @ pose.turn.T)[:, 2] + pose.lift
+        assert (heights < 1e-6).sum() >= 4, "all of the underside is on the ground"
+
+
 def test_blocks_rest_on_several_faces(library: AssetLibrary) -> None:
     info = next(i for i in library.list("object") if i.category == "block")
     poses = resting_poses(info, plain_mesh(moved(box((0.1, 0.06, 0.03)), 0, 0, 0.015)))

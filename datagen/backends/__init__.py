@@ -3,15 +3,17 @@
 import importlib.util
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import TYPE_CHECKING, Literal, Protocol
 
 from pydantic import PositiveInt
 
 from datagen.layers import LayerStack
 from lights.spec import LightRig
-from scenes.assets.library import AssetLibrary
 from scenes.frozen import Frozen
 from scenes.spec import SceneSpec
+
+if TYPE_CHECKING:  # reading a dataset needs none of what reads meshes
+    from scenes.assets.library import AssetLibrary
 
 RendererName = Literal["mitsuba", "cycles", "analytic"]
 
@@ -101,7 +103,7 @@ def resolve_renderer(wanted: str) -> RendererName:
             raise BackendError(f"renderer {wanted!r} is not available; choose auto, mitsuba, cycles or analytic")
 
 
-def open_backend(name: RendererName, library: AssetLibrary) -> AbstractContextManager[Backend]:
+def open_backend(name: RendererName, library: "AssetLibrary") -> AbstractContextManager[Backend]:
     """Start a renderer; use as a context manager. Imports the renderer only now."""
     match name:
         case "mitsuba":

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 class Verify:
     """Check everything that was written: files, values and identities; exit code 1 on any fault."""
 
-    dir: tyro.conf.Positional[Path]
-    """Folder of the dataset."""
+    dir: tyro.conf.Positional[str]
+    """Folder or address of the dataset."""
     json: bool = False
     """Print JSON instead of a table."""
 
@@ -34,8 +34,8 @@ class Verify:
 class Mix:
     """Make a picture of a stored view under any lighting."""
 
-    dir: tyro.conf.Positional[Path]
-    """Folder of the dataset."""
+    dir: tyro.conf.Positional[str]
+    """Folder or address of the dataset."""
     out: Path = field(kw_only=True)
     """Picture to write: .png (tone-mapped) or .exr (scene-linear float)."""
     scene: int = 0
@@ -65,8 +65,8 @@ class Mix:
 class Sheet:
     """Write a contact sheet: scenes x (background, composite, target, depth, effect)."""
 
-    dir: tyro.conf.Positional[Path]
-    """Folder of the dataset."""
+    dir: tyro.conf.Positional[str]
+    """Folder or address of the dataset."""
     out: Path = field(kw_only=True)
     """PNG file to write."""
     scenes: int = 24
@@ -75,12 +75,14 @@ class Sheet:
     def run(self) -> int:
         """Write the sheet and return the exit code."""
         from datagen.sheet import contact_sheet
-        from datagen.store import scene_dir, scene_indices
+        from datagen.source import open_dataset
 
-        indices = scene_indices(self.dir)[: self.scenes]
-        if not indices:
+        if self.scenes < 1:
+            raise UserError(f"--scenes {self.scenes} must be 1 or more")
+        source = open_dataset(self.dir)
+        if not source.indices:
             raise UserError(f"{self.dir} holds no finished scene; make some with: multilight dataset --out {self.dir}")
-        contact_sheet(scene_dir(self.dir, index) for index in indices).save(self.out)
+        contact_sheet(source, scenes=self.scenes).save(self.out)
         print(f"contact sheet: {self.out}")
         return 0
 

@@ -11,7 +11,7 @@ import tyro
 from datagen.errors import UserError
 from datagen.presets import Preset
 
-Kind = Literal["tabletop", "room", "outdoor", "studio", "custom", "spheres", "mixed"]
+Kind = Literal["tabletop", "room", "outdoor", "studio", "custom", "spheres", "imported", "mixed"]
 Renderer = Literal["auto", "mitsuba", "cycles", "analytic"]
 
 
@@ -68,7 +68,7 @@ class Dataset(_Options):
         from datagen.config import load_config
 
         config = load_config(self.config, self.values() | {"scenes": self.scenes}, self.preset)
-        return _make(self, config, tuple(range(config.scenes)), self.workers)
+        return make_scenes(self.out, config, tuple(range(config.scenes)), workers=self.workers, assets=self.assets)
 
 
 @dataclass(kw_only=True)
@@ -85,10 +85,13 @@ class Scene(_Options):
         if self.index < 0:
             raise UserError(f"--index {self.index} must be 0 or more")
         config = load_config(self.config, self.values() | {"scenes": self.index + 1}, self.preset)
-        return _make(self, config, (self.index,), 1)
+        return make_scenes(self.out, config, (self.index,), workers=1, assets=self.assets)
 
 
-def _make(options: _Options, config: object, indices: tuple[int, ...], workers: int | None) -> int:
+def make_scenes(
+    out: Path, config: object, indices: tuple[int, ...], *, workers: int | None, assets: tuple[Path, ...]
+) -> int:
+    """Make what is missing of these scenes of a dataset, say how it went, and return the exit code."""
     from datagen.config import DatasetConfig
     from datagen.dataset import Plan, default_workers, make_dataset
     from datagen.doctor import slow_note
@@ -99,7 +102,7 @@ def _make(options: _Options, config: object, indices: tuple[int, ...], workers: 
         raise UserError(f"--workers {workers} must be 1 or more")
     if note := slow_note(config.renderer):
         print(note, file=sys.stderr)
-    plan = Plan(options.out, config, indices, workers or default_workers(len(indices)), options.assets)
+    plan = Plan(out, config, indices, workers or default_workers(len(indices)), assets)
     with progress("views") as report:
         outcome = make_dataset(plan, report)
     if outcome.broken:
@@ -112,7 +115,7 @@ def _make(options: _Options, config: object, indices: tuple[int, ...], workers: 
         print(", ".join(f"{stage} {share / spent:.0%}" for stage, share in outcome.seconds.items()) + " of the time")
     if outcome.made or outcome.failures:
         summary = {"made": len(outcome.made), "kept": outcome.kept, "failed": len(outcome.failures)}
-        print(f"{options.out}: " + json.dumps(summary).strip("{}").replace('"', ""))
+        print(f"{out}: " + json.dumps(summary).strip("{}").replace('"', ""))
     else:
-        print(f"{options.out}: nothing to do, all {outcome.kept} scenes are there")
+        print(f"{out}: nothing to do, all {outcome.kept} scenes are there")
     return 1 if outcome.failures else 0

@@ -12,8 +12,9 @@ from lights.measure import LightMeasure, measure_light
 from lights.spec import EnvironmentLight, Light, LightRig
 from scenes.assets.library import AssetLibrary
 from scenes.cameras import focal_length_mm, pixel_rays, project
+from scenes.looks import material_class
 from scenes.rays import SceneRays, body_triangles, surface_points
-from scenes.spec import Body, Camera, Material, MeshAsset, SceneSpec, Sphere
+from scenes.spec import Body, Camera, MeshAsset, SceneSpec, Sphere
 from scenes.splits import Split, asset_split
 from scenes.streams import Streams
 from scenes.trajectory import SEEN, in_frame
@@ -74,19 +75,6 @@ def _add_object(values: Values, body: Body, library: AssetLibrary) -> None:
         values["roughness"].append(material.roughness)
         values["metallic"].append(material.metallic)
         values["transmission"].append(material.transmission)
-
-
-def material_class(material: Material) -> str:
-    """Name what a material looks like, by the parameter that decides it."""
-    match material:
-        case Material(metallic=metallic, roughness=roughness) if metallic > 0.5:
-            return "mirror" if roughness < 0.1 else "metal"
-        case Material(transmission=transmission) if transmission > 0.5:
-            return "glass"
-        case Material(coat=coat) if coat > 0.3:
-            return "coated"
-        case Material(roughness=roughness):
-            return "glossy" if roughness < 0.3 else "satin" if roughness < 0.6 else "matte"
 
 
 def _add_light(values: Values, light: Light, measure: LightMeasure) -> None:

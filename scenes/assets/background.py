@@ -64,7 +64,9 @@ class BackgroundPack:
     @cached_property
     def _folder(self) -> Path:
         """Where the converted scene lies: under the hash of the file, of what lies beside it, and of the code."""
-        digest = hashlib.sha256(sources_key(__file__, gltf.__file__, imported.__file__, cleaning.__file__).encode())
+        usd = sorted(str(path) for path in (Path(__file__).parent / "usd").glob("*.py"))
+        code = sources_key(__file__, gltf.__file__, imported.__file__, cleaning.__file__, *usd)
+        digest = hashlib.sha256(code.encode())
         digest.update(self._file.read_bytes())
         if self._file.suffix.lower() not in (".glb", ".usdz"):
             for path in sorted(p for p in self._file.parent.rglob("*") if p.is_file()):

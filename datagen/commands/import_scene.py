@@ -1,0 +1,49 @@
+"""The command `import`: a scene that was exported, edited elsewhere or not, made into a dataset again."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import tyro
+
+from datagen.commands.make import Renderer, make_scenes
+
+
+@dataclass
+class Import:
+    """Render the scene of a stage that `multilight export usd` wrote: its bodies, materials, lights and cameras."""
+
+    format: tyro.conf.Positional[Literal["usd"]]
+    """What the scene lies in: an OpenUSD stage."""
+    file: tyro.conf.Positional[Path]
+    """The stage (.usdc, .usda, .usd). Other USD files serve as backgrounds: `dataset --kind custom --background`."""
+    out: Path = field(kw_only=True)
+    """Folder of the dataset of this one scene."""
+    renderer: Renderer = "auto"
+    """Renderer."""
+    spp: int = 16
+    """Samples a pixel."""
+    denoise: Literal["auto", "on", "off"] = "auto"
+    """Denoise each layer (auto: below 2048 samples a pixel)."""
+    assets: tuple[Path, ...] = ()
+    """Folders of your own models that the scene uses; what is missing is taken from the stage."""
+
+    def run(self) -> int:
+        """Make the dataset and return the exit code."""
+        from datagen.background import open_library
+        from datagen.config import load_config
+        from datagen.export.usd.read import read_stage
+
+        values = {"kind": "imported", "background": self.file, "scenes": 1}
+        values |= {"renderer": self.renderer, "spp": self.spp, "denoise": self.denoise}
+        config = load_config(None, values)
+        found = read_stage(self.file, open_library(config, self.assets))
+        camera, kept = found.scene.cameras[0], found.scene.insertable
+        print(
+            f"{self.file}: {len(found.scene.bodies)} bodies, {len(kept)} of them insertable, {len(found.rig.lights)} "
+            f"lights, {len(found.scene.cameras)} cameras; "
+            + ("as it was exported" if found.as_written else "changed since it was exported")
+        )
+        size = {"width": camera.width, "height": camera.height, "views": len(found.scene.cameras)}
+        config = load_config(None, values | size)
+        return make_scenes(self.out, config, (0,), workers=1, assets=self.assets)

@@ -1,0 +1,35 @@
+"""The command `pack`."""
+
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import tyro
+
+from datagen.errors import UserError
+
+
+@dataclass
+class Pack:
+    """Make a packed copy of a dataset for training: the same values, mapped instead of decoded."""
+
+    dir: tyro.conf.Positional[str]
+    """Folder or address of the dataset."""
+    out: Path = field(kw_only=True)
+    """Folder of the packed copy; made where it is missing, continued where it is there."""
+    workers: int | None = None
+    """Worker processes (default: one a core)."""
+
+    def run(self) -> int:
+        """Pack what is missing and return the exit code."""
+        from datagen.pack import pack_dataset
+        from datagen.report import progress
+
+        if self.workers is not None and self.workers < 1:
+            raise UserError(f"--workers {self.workers} must be 1 or more")
+        workers = self.workers or len(os.sched_getaffinity(0))
+        with progress("scenes") as report:
+            packed = pack_dataset(self.dir, self.out, workers=workers, report=report)
+        mean, native = packed.packed / packed.views / 1e6, packed.native / packed.views / 1e6
+        print(f"{self.out}: {packed.views} views, {mean:.2f} MB a view (native: {native:.2f} MB)")
+        return 0

@@ -1,0 +1,1 @@
+"""A dataset written out in the layouts that others read, one module a format."""

@@ -1,0 +1,19 @@
+"""Who made the assets in an export, as their licences ask to be told."""
+
+from collections.abc import Sequence
+
+from datagen.records import AssetCredit
+
+
+def credit_lines(credits: Sequence[AssetCredit]) -> list[str]:
+    """Make a Markdown table of creators and works, one row a creator and licence."""
+    if not credits:
+        return ["The scenes hold nothing but shapes that the program makes itself."]
+    works: dict[tuple[str, str], set[str]] = {}
+    for credit in credits:
+        works.setdefault((credit.licence, credit.creator), set()).add(f"{credit.name} ({credit.pack})")
+    rows = [
+        f"| {licence} | {creator} | {', '.join(sorted(works[licence, creator]))} |"
+        for licence, creator in sorted(works)
+    ]
+    return ["| licence | by | works |", "|---|---|---|", *rows]

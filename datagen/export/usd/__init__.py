@@ -1,0 +1,1 @@
+"""Scenes as OpenUSD stages, written and read back; with the reader of scene files the only room for `pxr`."""

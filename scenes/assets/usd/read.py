@@ -1,0 +1,125 @@
+"""A USD stage as nodes of triangles and lights."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Tf, Usd, UsdGeom, UsdLux, UsdShade
+
+from scenes.assets.cleaning import Z_UP_FROM_Y_UP, RawPart
+from scenes.assets.imported import Emission, FoundLight, Imported, KeepImage, Node
+from scenes.assets.info import AssetError
+from scenes.assets.usd.lights import LightReader, write_map
+from scenes.assets.usd.materials import Picture, bound_surface, read_material, rgb_of
+from scenes.assets.usd.shapes import SHAPES, Float64, Int64, read_shape
+from scenes.spec import Material, Texture
+
+
+def open_stage(path: Path) -> Any:
+    """Open a USD file; raises `AssetError` in one line with the file, what is wrong and the remedy."""
+    try:
+        return Usd.Stage.Open(str(path))
+    except Tf.ErrorException as error:
+        reason = str(error).strip().splitlines()[-1].strip()
+        raise AssetError(f"{path} is not a readable USD file ({reason}); export it again") from error
+
+
+def world_from_stage(stage: Any) -> Float64:
+    """Return what takes a stage's axes and units to metres, Z-up: (4, 4)."""
+    up = Z_UP_FROM_Y_UP if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y else np.eye(3)
+    world = np.eye(4)
+    world[:3, :3] = up * float(UsdGeom.GetStageMetersPerUnit(stage))
+    return world
+
+
+def read_usd(path: Path, keep: KeepImage, folder: Path) -> Imported:
+    """Read a USD file; dome textures go into `folder` as EXR.
+
+    Raises `AssetError` in one line with the file, what is wrong and the remedy.
+    """
+    return _Reader(path, open_stage(path), keep, folder).read()
+
+
+class _Reader:
+    """Reads one stage."""
+
+    def __init__(self, path: Path, stage: Any, keep: KeepImage, folder: Path) -> None:
+        self._path, self._stage, self._keep, self._folder = path, stage, keep, folder
+        self._world = world_from_stage(stage)
+        self._places = UsdGeom.XformCache()
+        self._lights = LightReader(path, self._keep_map)
+
+    def read(self) -> Imported:
+        nodes, lights = [], []
+        for prim in Usd.PrimRange(self._stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()):
+            if not prim.IsA(UsdGeom.Imageable) or not _is_shown(prim):
+                continue
+            if any(prim.IsA(shape) for shape in SHAPES):
+                nodes.append(self._node(prim))
+            elif prim.HasAPI(UsdLux.LightAPI):
+                lights.append(self._light(prim))
+        return Imported(tuple(node for node in nodes if node is not None), tuple(lights))
+
+    def _matrix(self, prim: Any) -> Float64:
+        """Return a prim's matrix (4, 4) to our world; USD's own act on rows."""
+        return np.asarray(self._world @ np.array(self._places.GetLocalToWorldTransform(prim)).T)
+
+    def _light(self, prim: Any) -> FoundLight:
+        return self._lights.read(prim, self._matrix(prim))
+
+    def _node(self, prim: Any) -> Node | None:
+        """Read a shape, one part for each material on it."""
+        shape = read_shape(prim)
+        if shape is None:
+            return None
+        matrix = self._matrix(prim)
+        if abs(np.linalg.det(matrix[:3, :3])) < 1e-18:
+            return None
+        points = shape.points @ matrix[:3, :3].T + matrix[:3, 3]
+        normals = None if shape.normals is None else shape.normals @ np.linalg.inv(matrix[:3, :3])
+        order = [2, 1, 0] if np.linalg.det(matrix[:3, :3]) < 0 else [0, 1, 2]
+        parts, emissions = [], []
+        for chosen, shader in _bindings(prim, shape.source):
+            material, emission = self._material(shader, prim, has_uv=shape.uv is not None)
+            corners = points[shape.faces[chosen][:, order]].reshape(-1, 3)
+            shading = None if normals is None else normals[chosen][:, order].reshape(-1, 3)
+            uv = None if shape.uv is None else shape.uv[chosen][:, order].reshape(-1, 2)
+            faces = np.arange(len(corners), dtype=np.int64).reshape(-1, 3)
+            parts.append(RawPart(material, corners, faces, shading, uv))
+            emissions.append(emission)
+        return Node(prim.GetName(), tuple(parts), tuple(emissions))
+
+    def _material(self, shader: Any, prim: Any, *, has_uv: bool) -> tuple[Material, Emission | None]:
+        """Translate a surface; without one, the shape's display colour."""
+        if shader is not None:
+            return read_material(self._path, shader, self._kept, has_uv=has_uv)
+        colour = UsdGeom.Gprim(prim).GetDisplayColorAttr().Get()
+        return Material(base_color=rgb_of(colour[0]) if colour else (0.18, 0.18, 0.18)), None
+
+    def _kept(self, picture: Picture, mode: str) -> Texture:
+        return self._keep(picture.image.convert(mode))
+
+    def _keep_map(self, file: Any, prim: Any) -> str:
+        name = f"dome-{len(list(self._folder.glob('dome-*.exr')))}"
+        write_map(self._path, file, prim.GetPath(), self._folder / f"{name}.exr")
+        return name
+
+
+def _bindings(prim: Any, source: Int64) -> Iterator[tuple[NDArray[np.bool_], Any]]:
+    """Yield for each material of a shape which triangles have it, and its surface shader (None: none given)."""
+    rest = np.ones(len(source), bool)
+    for subset in UsdShade.MaterialBindingAPI(prim).GetMaterialBindSubsets():
+        chosen = np.isin(source, np.array(subset.GetIndicesAttr().Get() or [], np.int64)) & rest
+        rest &= ~chosen
+        if chosen.any():
+            yield chosen, bound_surface(subset.GetPrim())
+    if rest.any():
+        yield rest, bound_surface(prim)
+
+
+def _is_shown(prim: Any) -> bool:
+    imageable = UsdGeom.Imageable(prim)
+    shown = imageable.ComputeVisibility() != UsdGeom.Tokens.invisible
+    return shown and imageable.ComputePurpose() in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)

@@ -1,0 +1,97 @@
+"""Scenes of all kinds as they are drawn, without rendering: no overlap, everything carried, in frame, cameras free."""
+
+import os
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+
+import numpy as np
+import pytest
+
+from datagen.config import load_config
+from datagen.presets import Preset
+from datagen.produce import contact_faults, sample_scene
+from lights.spec import EmissiveLight, LightRig
+from scenes.assets.fetch import is_fetched
+from scenes.assets.library import AssetLibrary
+from scenes.cameras import focal_length_mm, pixel_rays
+from scenes.rays import SceneRays, surface_points
+from scenes.spec import SceneSpec
+from scenes.streams import Streams
+from scenes.trajectory import SEEN, in_frame
+
+COUNTS: dict[Preset, int] = {"room": 10, "tabletop": 10, "studio": 6, "outdoor": 6}
+VIEWS = 8
+
+
+def faults(
+    scene: SceneSpec, rig: LightRig, library: AssetLibrary, *, share: float, lens: tuple[float, float]
+) -> list[str]:
+    """Name what is wrong with a drawn scene; `share` is that of the views in which each insertable must be seen."""
+    found = [fault.message for fault in contact_faults(scene, library)]
+    rays = SceneRays(scene.bodies, library)
+    rng = np.random.default_rng(0)
+    for name in scene.insertable:
+        index = scene.instance_id(name) - 1
+        points = surface_points(scene.bodies[index], library, rng, 200)
+        good = [
+            in_frame(camera, points) and rays.visible_share(camera.pose()[:3, 3], index, points) > 0.5 * SEEN
+            for camera in scene.cameras
+        ]
+        # Fewer points stood for the object when it was drawn: one view may differ.
+        if sum(good) < share * len(good) - 1:
+            found.append(f"{name} is seen in {sum(good)} of {len(good)} views")
+    for number, camera in enumerate(scene.cameras):
+        if not lens[0] - 0.1 <= focal_length_mm(camera) <= lens[1] + 0.1:
+            found.append(f"view {number} has a lens of {focal_length_mm(camera):.0f} mm")
+        small = camera.model_copy(update={"width": 8, "height": 8, "fx": camera.fx * 8 / camera.width,
+                                          "fy": camera.fy * 8 / camera.height, "cx": 4.0, "cy": 4.0})  # fmt: skip
+        origins, ways = (array.reshape(-1, 3) for array in pixel_rays(small))
+        if rays.first_hit(origins, ways)[1].min() < 0.05:
+            found.append(f"view {number} is blocked")
+    glowing = {light.body for light in rig.lights if isinstance(light, EmissiveLight)}
+    found += [f"{name} glows but is not there" for name in glowing - {body.name for body in scene.bodies}]
+    return found
+
+
+def drawn(preset: Preset, seed: int, index: int) -> tuple[list[str], int, bool]:
+    """Draw one scene: what is wrong with it, how many lights it has, and whether an inserted object glows."""
+    config = load_config(None, {"seed": seed, "scenes": 1000, "views": VIEWS, "width": 96, "height": 72}, preset)
+    library = AssetLibrary()
+    scene, rig = sample_scene(config, library, Streams(seed, index))
+    found = faults(scene, rig, library, share=config.cameras.min_visible_share, lens=config.cameras.lens_mm)
+    if not config.lights[0] <= len(rig.lights) <= config.lights[1]:
+        found.append(f"{len(rig.lights)} lights")
+    glowing = {light.body for light in rig.lights if isinstance(light, EmissiveLight)}
+    return [f"{preset} {index}: {fault}" for fault in found], len(rig.lights), bool(glowing & set(scene.insertable))
+
+
+@pytest.mark.slow
+def test_scenes_of_all_kinds_are_sound() -> None:
+    if not is_fetched("sweethome3d", AssetLibrary().cache):
+        pytest.skip("needs the pack sweethome3d; run `multilight assets fetch sweethome3d`")
+    wanted = [(preset, 31, index) for preset, count in COUNTS.items() for index in range(count)]
+    with ProcessPoolExecutor(max(1, min(4, os.cpu_count() or 1)), get_context("spawn")) as pool:
+        results = list(pool.map(drawn, *zip(*wanted, strict=True)))
+    assert [fault for found, _, _ in results for fault in found] == []
+    assert len({lights for _, lights, _ in results}) >= 5
+    assert 0.1 <= np.mean([glows for _, _, glows in results]) <= 0.6
+
+
+def test_what_is_wrong_is_found() -> None:
+    config = load_config(None, {"seed": 3, "scenes": 10, "views": VIEWS, "width": 96, "height": 72}, "studio")
+    library = AssetLibrary(packs=("builtin",))
+    scene, rig = sample_scene(config, library, Streams(3, 1))
+    assert faults(scene, rig, library, share=0.7, lens=(35.0, 85.0)) == []
+    name = scene.insertable[0]
+    for shift, words in ((0.005, f"nothing carries {name}"), (-0.004, "mm in each other")):
+        moved = scene.body(name).world_from_body
+        lifted = (*moved[:2], (*moved[2][:3], moved[2][3] + shift), moved[3])
+        bodies = [b.model_copy(update={"world_from_body": lifted}) if b.name == name else b for b in scene.bodies]
+        wrong = contact_faults(scene.model_copy(update={"bodies": tuple(bodies)}), library)
+        assert any(words in fault.message for fault in wrong), words
+    away = tuple(
+        c.model_copy(update={"c2w": (*c.c2w[:3][:2], (*c.c2w[2][:3], c.c2w[2][3] + 9.0), c.c2w[3])})
+        for c in scene.cameras
+    )
+    assert any("is seen in 0" in fault for fault in faults(scene.model_copy(update={"cameras": away}), rig, library,
+                                                           share=0.7, lens=(35.0, 85.0)))  # fmt: skip
