@@ -1,4 +1,8 @@
 """The model's commands, by name; nothing here imports torch before a command runs."""
 
-COMMANDS: dict[str, type] = {}
+from model.commands.evaluate import Evaluate
+from model.commands.harmonize import Harmonize
+from model.commands.train import Train
+
+COMMANDS: dict[str, type] = {"train": Train, "evaluate": Evaluate, "harmonize": Harmonize}
 """Each command's name and its options, as a dataclass whose `run` returns the exit code."""

@@ -1,0 +1,1 @@
+"""The model's commands; they import torch only when they run."""

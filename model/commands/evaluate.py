@@ -1,0 +1,93 @@
+"""`multilight evaluate`: how good models are, beside classical methods, on scenes never seen."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import tyro
+
+from datagen.errors import UserError
+from scenes.splits import Split
+
+if TYPE_CHECKING:
+    from model.evaluation_cases import LazyGroup
+
+
+@dataclass
+class Evaluate:
+    """Compare models with the truth, and with classical harmonization: tables and pictures (HTML, Markdown, JSON)."""
+
+    dir: tyro.conf.Positional[str | None] = None
+    """Dataset: a folder or an address."""
+    out: Path = field(kw_only=True)
+    """Folder to write index.html, table.md and evaluation.json to."""
+    weights: tuple[Path, ...] = ()
+    """Weights of the models to compare (default: the ready-made ones)."""
+    splits: tuple[Split, ...] = ("test", "test_ood")
+    """Splits to evaluate on; each is a subset of the tables."""
+    groups: int = 32
+    """Most objects a split, each in up to four views under one pair of lightings."""
+    seed: int = 0
+    """Seed of the order and the lightings."""
+    size: int = 256
+    """Side of the pictures in pixels."""
+    owl: Path | None = None
+    """Instead: folder of Objects With Lighting."""
+    foscom: Path | None = None
+    """Instead: folder of FOSCom (pictures only: it has no truth)."""
+    depth_model: Path | None = None
+    """ONNX depth model for sets without depth."""
+    lpips: Path | None = None
+    """Weights for LPIPS: torchvision's vgg16 or alexnet (.pth)."""
+    device: str = "auto"
+    """Device of the models: auto, cpu, or cuda."""
+
+    def run(self) -> int:
+        """Evaluate, write the pages, print the main table, and return the exit code."""
+        from datagen.report import progress
+        from model.evaluation import evaluate, methods_of
+        from model.evaluation_page import markdown, tables_of, write_evaluation
+        from model.harmonize import DEFAULT_WEIGHTS, network_harmonizer
+        from model.lpips import Lpips
+
+        groups = self._groups()
+        weights = self.weights or (DEFAULT_WEIGHTS,)
+        models = {path.stem: network_harmonizer(path, self.device) for path in weights}
+        if len(models) < len(weights):
+            raise UserError(f"weights {', '.join(map(str, weights))}: give the files different names")
+        lpips = Lpips.load(self.lpips) if self.lpips else None
+        with progress("objects") as report:
+            found = evaluate(groups, methods_of(models), lpips=lpips, report=report)
+        about = self._about(weights, len(found.frames))
+        write_evaluation(found, about, self.out)
+        print(markdown(tables_of(found), about))
+        print(f"evaluation: {self.out / 'index.html'}")
+        return 0
+
+    def _groups(self) -> "list[LazyGroup]":
+        from model.depth import DepthModel
+        from model.evaluation_cases import CaseSettings, dataset_groups
+        from model.foreign import foscom_groups
+        from model.foreign_owl import owl_groups
+
+        if sum(place is not None for place in (self.dir, self.owl, self.foscom)) != 1:
+            raise UserError("say what to evaluate on: a dataset (multilight evaluate DIR), --owl DIR or --foscom DIR")
+        model = DepthModel.load(self.depth_model) if self.depth_model else None
+        if self.owl is not None:
+            return owl_groups(self.owl, model)[: self.groups]
+        if self.foscom is not None:
+            return foscom_groups(self.foscom, model)[: self.groups]
+        assert self.dir is not None
+        return dataset_groups(self.dir, CaseSettings(self.splits, self.groups, self.seed, self.size))
+
+    def _about(self, weights: tuple[Path, ...], frames: int) -> dict[str, str]:
+        """Say what was evaluated on what."""
+        import torch
+
+        from datagen.store import file_sha256
+
+        place = str(self.dir or self.owl or self.foscom)
+        facts = {"data": place, "frames": str(frames), "torch": torch.__version__, "device": self.device}
+        if self.dir is not None:
+            facts |= {"splits": ", ".join(self.splits), "seed": str(self.seed), "size": f"{self.size} x {self.size}"}
+        return facts | {f"weights {path.stem}": file_sha256(path)[:12] for path in weights}

@@ -1,0 +1,40 @@
+"""The typed configuration of a training of the 3D stage; imports no torch."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from model.config import NetworkConfig, TrainingConfig
+
+Order = Literal["hilbert", "morton", "arbitrary"]
+
+SLIM3D = NetworkConfig(stride=4, width=64, groups=2, blocks=2, heads=4, window=8, pooled=4, head="residual", cues=False)
+"""Our network of the 3D stage: 0.5 M parameters."""
+
+
+class SceneTrainingConfig(TrainingConfig):
+    """A training of the 3D stage: a step is one object of one scene, in all its views, under one pair of lightings."""
+
+    weights_2d: Path
+    """Finished weights of the 2D stage, which stays as it is."""
+    network: NetworkConfig = SLIM3D
+    """The network on the Gaussians' map."""
+    views: Annotated[int, Field(ge=1, le=64)] = 4
+    """Views of a scene that its Gaussians are made from."""
+    side: Annotated[int, Field(ge=16, le=1024)] = 128
+    """Cells a side of the map, a power of two: 256 is 65,536 Gaussians."""
+    order: Order = "hilbert"
+    """Order of the Gaussians on the map: along the Hilbert curve, the Z-order curve, or at random."""
+    learning_rate: Annotated[float, Field(gt=0)] = 3e-4
+    """Largest learning rate."""
+    kept_scenes: Annotated[int, Field(ge=1)] = 64
+    """Scenes whose Gaussians are kept in memory: about 20 MB each at 128 pixels, 80 MB at 256."""
+
+    @model_validator(mode="after")
+    def _side_folds(self) -> "SceneTrainingConfig":
+        if self.side & (self.side - 1):
+            raise ValueError(f"side = {self.side} must be a power of two")
+        if len(self.stages) != 1 or self.stages[0].batch != 1:
+            raise ValueError("the 3D stage trains in one stage of batch 1: stages = [{size = 128, batch = 1}]")
+        return self

@@ -1,0 +1,160 @@
+"""PyTorch datasets over a native or packed dataset: map-style and streaming."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.utils.data import Dataset, IterableDataset, get_worker_info
+
+from datagen.packed import PackedView
+from datagen.training import open_training
+from model.augment import PLAIN, Frame, centre_frame, draw_camera, draw_frame, reframe, reframe_camera, resize
+from model.data.lighting import lit_conditions, tints
+from model.data.mixing import Pictures, mix_tuple
+from model.data.plan import Draw, Plan, places_of
+from model.data.settings import SampleSettings
+
+Sample = dict[str, Any]
+"""Tensors and `meta`, as `MultiLightDataset` describes them."""
+
+
+class MultiLightDataset(Dataset[Sample]):
+    """Tuples with lighting made on the fly: a pure function of (seed, epoch, index), whatever the workers.
+
+    A sample, with S the size and, where a sample is a group of V views, V in front of every tensor:
+
+        composite, background, target  (3, S, S)  display-encoded sRGB in [0, 1]
+        effect   (3, S, S)  target - background, signed
+        depth    (1, S, S)  z_depth over the largest of the group; 1 where there is nothing
+        z_depth  (1, S, S)  metres along the optical axis; 0 where there is nothing
+        mask     (1, S, S)  the object's coverage of the pixel in [0, 1]
+        K        (3, 3)     pixels, pixel centres at (x + 0.5, y + 0.5)
+        c2w      (4, 4)     camera to world, OpenGL axes, metres
+
+    all float32, and `meta`: scene, view (of a group the first), emissive (ints), object, kind (strings).
+    The background is lit as the target is; the object in the composite comes from another lighting.
+    """
+
+    def __init__(self, address: str | Path, settings: SampleSettings) -> None:
+        """Open a dataset at any address; raises `StoreError` and `UserError` naming the value and the remedy."""
+        self.settings = settings
+        self.source = open_training(address, where=settings.filter())
+        places = places_of(self.source.visible, settings)
+        self.plan = Plan(places, settings, self.source.source.record.config.conditions)
+        self._about = {row["index"]: row for row in self.source.index.select("index", "kind", "emissive").to_dicts()}
+        # Shared memory, so that workers that live on from epoch to epoch learn of a new one.
+        self._epoch = torch.zeros(1, dtype=torch.int64).share_memory_()
+        tints()
+
+    def set_epoch(self, epoch: int) -> None:
+        """Choose the epoch that the next samples belong to."""
+        self._epoch[0] = epoch
+
+    @property
+    def epoch(self) -> int:
+        """The epoch that samples belong to."""
+        return int(self._epoch[0])
+
+    def __len__(self) -> int:
+        return self.settings.length
+
+    def __getitem__(self, index: int) -> Sample:
+        if not 0 <= index < len(self):
+            raise IndexError(f"sample {index} is outside 0..{len(self) - 1}")
+        draw = self.plan.draw(self.epoch, index)
+        views = [self.source.view(draw.place.scene, number) for number in draw.views]
+        samples = make_samples(views, draw, self.settings)
+        about = self._about[draw.place.scene]
+        if self.settings.views == 1:
+            sample: Sample = dict(samples[0])
+        else:
+            sample = {name: torch.stack([s[name] for s in samples]) for name in samples[0]}
+        sample["meta"] = {
+            "scene": draw.place.scene,
+            "view": draw.views[0],
+            "object": draw.place.object,
+            "kind": about["kind"],
+            "emissive": int(about["emissive"]),
+        }
+        return sample
+
+
+class MultiLightStream(IterableDataset[Sample]):
+    """The samples of a `MultiLightDataset`, scene after scene, so that remote scenes are fetched once.
+
+    The samples of an epoch are cut into equal shares, one for each rank and worker.
+    """
+
+    def __init__(
+        self, address: str | Path, settings: SampleSettings, *, rank: int | None = None, world: int | None = None
+    ) -> None:
+        """Open a dataset; `rank` of `world` processes (default: as torch.distributed says, where it runs)."""
+        distributed = torch.distributed.is_available() and torch.distributed.is_initialized()
+        self.rank = rank if rank is not None else torch.distributed.get_rank() if distributed else 0
+        self.world = world if world is not None else torch.distributed.get_world_size() if distributed else 1
+        self.samples = MultiLightDataset(address, settings)
+
+    def set_epoch(self, epoch: int) -> None:
+        """Choose the epoch that the next iteration shows."""
+        self.samples.set_epoch(epoch)
+
+    def __len__(self) -> int:
+        return len(self.samples) // self.world
+
+    def __iter__(self) -> Iterator[Sample]:
+        for index in self._share():
+            yield self.samples[int(index)]
+
+    def _share(self) -> np.ndarray:
+        """Return the indices of this rank's and worker's samples, scene after scene."""
+        plan, epoch = self.samples.plan, self.samples.epoch
+        scenes = np.array([plan.places[plan.place(epoch, i)].scene for i in range(len(self.samples))])
+        order = np.argsort(scenes, kind="stable")
+        own = order[self.rank * len(self) : (self.rank + 1) * len(self)]
+        worker = get_worker_info()
+        return own if worker is None else np.array_split(own, worker.num_workers)[worker.id]
+
+
+def make_samples(views: list[PackedView], draw: Draw, settings: SampleSettings) -> list[dict[str, Tensor]]:
+    """Light, mix, augment and frame the views of one sample: a dict of tensors each, without the view axis."""
+    rng = draw.rng
+    if draw.conditions is None:
+        insert, base = lit_conditions(rng, views, 2)
+    else:
+        insert, base = (views[0].conditions[number] for number in draw.conditions)
+    camera = draw_camera(rng) if settings.augment else PLAIN
+    mirrored = bool(settings.augment and rng.random() < 0.5)
+    result = []
+    for view in views:
+        pictures = mix_tuple(view, draw.place.object, insert=insert, base=base, camera=camera)
+        frame = centre_frame(*view.z_depth.shape)
+        if settings.augment:
+            frame = draw_frame(rng, pictures.mask[0].numpy(), mirrored=mirrored)
+        result.append(framed_sample(view, pictures, frame, settings.size))
+    largest = max(float(sample["z_depth"].max()) for sample in result)
+    for sample in result:
+        nothing = (sample["z_depth"] <= 0).float()
+        sample["depth"] = sample["z_depth"].div(max(largest, 1e-6)).add_(nothing)
+    return result
+
+
+def framed_sample(view: PackedView, pictures: Pictures, frame: Frame, size: int) -> dict[str, Tensor]:
+    """Crop and resize what was mixed; the sample lacks only `depth`, which is relative to the group's largest."""
+    framed = [reframe(picture, frame) for picture in vars(pictures).values()]
+    if frame.side != size:  # all in one go, which is cheaper
+        framed = list(resize(torch.cat(framed), size).clamp_(0.0, 1.0).split((3, 3, 3, 1)))
+    composite, background, target, mask = framed
+    intrinsics, c2w = reframe_camera(view.K, view.c2w, frame, size)
+    return {
+        "composite": composite,
+        "background": background,
+        "target": target,
+        "effect": target - background,
+        "mask": mask,
+        "z_depth": resize(reframe(torch.from_numpy(view.z_depth)[None], frame), size, nearest=True),
+        "K": torch.from_numpy(intrinsics),
+        "c2w": torch.from_numpy(c2w),
+    }

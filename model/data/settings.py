@@ -1,0 +1,43 @@
+"""What a sample should be."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from datagen.errors import UserError
+from scenes.splits import Split
+
+
+@dataclass(frozen=True)
+class SampleSettings:
+    """What training draws from a dataset.
+
+    `size` is the side of the square pictures in pixels; `views` the number of views of one scene in a sample; `length`
+    the samples an epoch. `split` and the SQL expression `where` over the dataset's index choose the scenes.
+    `lighting` "random" draws gains and colours anew and meters them, "stored" takes two of the scene's own conditions.
+    `augment` varies exposure, white balance, camera response, crop and direction. Objects that cover fewer than
+    `visible` pixels of a view are passed over. With `repeat` an epoch may be longer than there are different tuples.
+    """
+
+    size: int = 256
+    views: int = 1
+    seed: int = 0
+    split: Split | None = "train"
+    where: str | None = None
+    lighting: Literal["random", "stored"] = "random"
+    length: int = 1000
+    augment: bool = True
+    visible: float = 30.0
+    repeat: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("size", "views", "length"):
+            if getattr(self, name) < 1:
+                raise UserError(f"{name} {getattr(self, name)} must be 1 or more")
+        if self.seed < 0:
+            raise UserError(f"seed {self.seed} must be 0 or more")
+
+    def filter(self) -> str | None:
+        """Return one SQL expression for `split` and `where`."""
+        parts = [f"split = '{self.split}'"] if self.split else []
+        parts += [f"({self.where})"] if self.where else []
+        return " AND ".join(parts) or None
