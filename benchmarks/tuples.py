@@ -1,12 +1,16 @@
 """Tuples (composite, background, depth, target) a core-second at equal quality, three ways, side by side in one run.
 
 (a) Mitsuba, light by light; (b) Cycles, light by light with light groups; (c) Cycles, each lighting condition
-rendered anew with everything and without each object, and denoised, as other pipelines do (a mask then cuts the
-object out). Same scene, size and views. Each way takes the fewest samples whose denoised targets lie, on the average
-over the conditions, `--quality` dB from its own renderer's converged picture (8-bit, tone-mapped; itself denoised).
-Seconds are those of all cores together. (c) is timed on a few conditions and counted for all.
+rendered anew with everything and without each object, with Cycles' own denoiser and without light groups, as other
+pipelines do (a mask then cuts the object out). Same scene, size and view.
 
-    python benchmarks/tuples.py --seed 3
+Quality is the PSNR of the target as shown (8 bits, tone-mapped) against a converged render of the same renderer,
+itself denoised, averaged over the conditions. Each way gets the fewest samples (powers of two) that reach
+`--quality`, or where a way does not reach it with `--most-spp`, what all of them reach: that is said. Seconds are
+user and system time of all cores. Loading and compiling are shared by a scene's views and told apart. (c) is linear
+in conditions: `--timed-conditions` of them are rendered, each in all its variants, and counted for all.
+
+    python -m benchmarks.tuples --cases tabletop:6 room:4
 """
 
 import time
@@ -16,38 +20,39 @@ from dataclasses import dataclass, field
 import numpy as np
 import tyro
 
+from benchmarks.one_by_one import OneByOne, grey_gains
 from datagen.backends import Backend, RendererName, RenderJob, RenderSettings, open_backend
 from datagen.config import DatasetConfig
 from datagen.denoise import denoise_all
-from datagen.layers import Float32, LayerStack
+from datagen.layers import Float32
 from datagen.produce import sample_scene
 from datagen.stopwatch import Stopwatch
 from datagen.store import ViewData
 from datagen.views import Shoot, render_view
 from lights.conditions import sample_conditions
 from lights.relight import mix
-from lights.rigs import scaled
 from lights.spec import LightingCondition, LightRig
 from lights.tonemap import meter_ev, to_display
 from scenes.assets.library import AssetLibrary
 from scenes.spec import SceneSpec
 from scenes.streams import Streams
 
-LADDER = (16, 32, 64, 128, 256, 512, 1024)
+LEAST_SPP = 8
 
 
 @dataclass
 class Options:
     """What to measure."""
 
-    size: int = 256
-    seed: int = 3
+    cases: tuple[str, ...] = ("tabletop:6", "room:4")
+    """Kinds of scene and seeds."""
+    size: int = 128
     view: int = 6
     conditions: int = 12
     quality: float = 40.0
-    reference_spp: int = 4096
-    timed_conditions: int = 1
-    """Of (c), how many are rendered and timed."""
+    most_spp: int = 256
+    reference_spp: int = 1024
+    timed_conditions: int = 2
 
 
 @dataclass
@@ -60,13 +65,18 @@ class Case:
     options: Options
     converged: dict[str, Float32] = field(default_factory=dict)
 
-    def settings(self, spp: int) -> RenderSettings:
-        """Return how to render, on all cores."""
-        return RenderSettings(spp=spp)
+    def job(self, spp: int, variant: str = "all") -> RenderJob:
+        """Return one render of the view, on all cores."""
+        return RenderJob(self.scene, self.rig, RenderSettings(spp=spp), self.options.view, variant)
 
-    def job(self, spp: int, rig: LightRig | None = None, variant: str = "all") -> RenderJob:
-        """Return one render of the view."""
-        return RenderJob(self.scene, rig or self.rig, self.settings(spp), self.options.view, variant)
+    def converge(self, backend: Backend) -> None:
+        """Render the layers of variant `all` with many samples and other random numbers, and denoise them."""
+        bodies = tuple(body.model_copy(update={"insertable": False}) for body in self.scene.bodies)
+        plain = self.scene.model_copy(update={"bodies": bodies})
+        settings = RenderSettings(spp=self.options.reference_spp)
+        self.converged[backend.name] = denoise_all(
+            backend.render(RenderJob(plain, self.rig, settings, self.options.view))
+        )
 
     def decibels(self, picture: Float32, condition: LightingCondition, renderer: str) -> float:
         """Return how near a picture is to the converged one of its renderer, both as they would be shown."""
@@ -76,34 +86,35 @@ class Case:
         return float(10 * np.log10(255**2 / max(np.mean((shown - wanted) ** 2), 1e-9)))
 
 
-def relit(rig: LightRig, condition: LightingCondition) -> LightRig:
-    """Build the rig that a renderer would be given for one condition (gains' mean: the cost does not depend on hue)."""
-    lights = [
-        scaled(light, float(np.mean(condition.gains[light.name])))
-        for light in rig.lights
-        if np.any(condition.gains.get(light.name, 0))
-    ]
-    return LightRig(lights=tuple(lights))
+@dataclass
+class Way:
+    """One way: its quality by samples a pixel, and how its cost at some samples is measured."""
+
+    title: str
+    ladder: dict[int, float]
+    cost: Callable[[int], float]
+
+    @property
+    def best(self) -> float:
+        """The highest quality reached."""
+        return max(self.ladder.values())
+
+    def least_spp(self, quality: float) -> int:
+        """Return the fewest samples that reach a quality."""
+        return min(spp for spp, decibels in self.ladder.items() if decibels >= quality)
 
 
-def grey_gains(condition: LightingCondition) -> LightingCondition:
-    """Return the condition that `relit` renders, without its exposure."""
-    gains = {name: (float(np.mean(gain)),) * 3 for name, gain in condition.gains.items()}
-    return condition.model_copy(update={"gains": gains, "exposure_ev": 0.0})
-
-
-def render_converged(backend: Backend, case: Case) -> Float32:
-    """Render the layers of variant `all` with many samples; what noise is left is denoised."""
-    return denoise_all(backend.render(case.job(case.options.reference_spp)))
-
-
-def light_by_light(backend: Backend, case: Case, spp: int, view: int) -> tuple[float, ViewData]:
-    """Render and denoise a view with all its variants, and mix every tuple; returns core-seconds and the view."""
-    shoot = Shoot(backend, case.scene, case.rig, case.settings(spp), denoise=True, keep_raw=False)
-    start = time.process_time()
-    data = render_view(shoot, view, Stopwatch()).data
-    make_tuples(case, data)
-    return time.process_time() - start, data
+def climb(title: str, options: Options, quality: Callable[[int], float]) -> dict[int, float]:
+    """Double the samples until the quality is reached; returns the quality by samples."""
+    ladder: dict[int, float] = {}
+    spp = LEAST_SPP
+    while spp <= options.most_spp:
+        ladder[spp] = quality(spp)
+        print(f"  {title:36}{spp:5} spp {ladder[spp]:6.1f} dB", flush=True)
+        if ladder[spp] >= options.quality:
+            break
+        spp *= 2
+    return ladder
 
 
 def make_tuples(case: Case, data: ViewData) -> None:
@@ -122,85 +133,101 @@ def make_tuples(case: Case, data: ViewData) -> None:
                 np.add(thing, behind)
 
 
-def one_by_one(backend: Backend, case: Case, spp: int, condition: LightingCondition) -> tuple[float, Float32]:
-    """Render one condition with everything and without each object, denoised; returns core-seconds and the target."""
-    rig = relit(case.rig, condition)
-    pictures = []
-    backend.render(case.job(spp, rig))  # loads the scene
-    start = time.process_time()
-    for variant in ("all", *(f"without_{name}" for name in case.scene.insertable)):
-        stack = backend.render(case.job(spp, rig, variant))
-        whole = LayerStack(
-            ("all",),
-            stack.combined[None],
-            stack.combined,
-            guide_albedo=stack.guide_albedo,
-            guide_normal=stack.guide_normal,
-        )
-        pictures.append(denoise_all(whole)[0])
-    return time.process_time() - start, pictures[0]
-
-
-def climb(title: str, case: Case, attempt: Callable[[int], tuple[float, float]]) -> float:
-    """Go up the ladder of samples until the quality is reached; returns tuples a core-second there."""
-    tuples = len(case.scene.insertable) * len(case.conditions) ** 2
-    for spp in LADDER:
-        seconds, decibels = attempt(spp)
-        print(
-            f"{title:36}{spp:5} spp {decibels:6.1f} dB {seconds:9.2f} core-s {tuples / seconds:9.2f} tuples/s",
-            flush=True,
-        )
-        if decibels >= case.options.quality:
-            break
-    else:
-        print(f"{title:36} does not reach {case.options.quality} dB with {LADDER[-1]} samples; its last figure counts")
-    return tuples / seconds
-
-
-def measure_layers(title: str, renderer: RendererName, case: Case, library: AssetLibrary) -> float:
+def light_by_light(title: str, backend: Backend, case: Case) -> Way:
     """Measure (a) or (b)."""
-    with open_backend(renderer, library) as backend:
-        case.converged[renderer] = render_converged(backend, case)
 
-        def attempt(spp: int) -> tuple[float, float]:
-            # Another view first: what is done once a scene (loading, compiling) is shared by all its views.
-            light_by_light(backend, case, spp, 0)
-            seconds, data = light_by_light(backend, case, spp, case.options.view)
-            quality = [case.decibels(mix(data.variants["all"], data.lights, c), c, renderer) for c in case.conditions]
-            return seconds, float(np.mean(quality))
+    def quality(spp: int) -> float:
+        layers = denoise_all(backend.render(case.job(spp)))
+        return float(np.mean([case.decibels(mix(layers, case.rig.names, c), c, backend.name) for c in case.conditions]))
 
-        return climb(title, case, attempt)
+    def whole_view(spp: int, view: int) -> float:
+        shoot = Shoot(backend, case.scene, case.rig, RenderSettings(spp=spp), denoise=True, keep_raw=False)
+        start, watch = time.process_time(), Stopwatch()
+        make_tuples(case, render_view(shoot, view, watch).data)
+        seconds = time.process_time() - start
+        shares = ", ".join(f"{stage} {share:.0%}" for stage, share in _shares(watch).items())
+        print(f"  {title:36}{spp:5} spp {seconds:6.1f} core-s for view {view} ({shares} of the time)", flush=True)
+        return seconds
+
+    def cost(spp: int) -> float:
+        # Another view first: what is done once a scene (loading, compiling) is shared by all its views.
+        whole_view(spp, other)
+        return whole_view(spp, case.options.view)
+
+    other = (case.options.view + 1) % len(case.scene.cameras)
+    first, second = (whole_view(LEAST_SPP, view) for view in (other, case.options.view))
+    print(
+        f"  {title:36}once a scene {max(first - second, 0):.1f} core-s: loading, and compiling what no run before had"
+    )
+    case.converge(backend)
+    return Way(title, climb(title, case.options, quality), cost)
 
 
-def measure_conditions(title: str, case: Case, library: AssetLibrary) -> float:
-    """Measure (c)."""
-    chosen = case.conditions[: case.options.timed_conditions]
-    with open_backend("cycles", library) as backend:
+def _shares(watch: Stopwatch) -> dict[str, float]:
+    seconds = watch.seconds()
+    return {stage: value / sum(seconds.values()) for stage, value in seconds.items()}
 
-        def attempt(spp: int) -> tuple[float, float]:
-            made = [one_by_one(backend, case, spp, condition) for condition in chosen]
-            quality = [
-                case.decibels(picture, grey_gains(condition), "cycles")
-                for condition, (_, picture) in zip(chosen, made, strict=True)
-            ]
-            seconds = float(np.mean([seconds for seconds, _ in made])) * len(case.conditions)
-            return seconds, float(np.mean(quality))
 
-        return climb(title, case, attempt)
+def condition_by_condition(title: str, backend: OneByOne, case: Case) -> Way:
+    """Measure (c); needs Cycles' converged layers."""
+    count = min(case.options.timed_conditions, len(case.conditions))
+    chosen = [case.conditions[i] for i in np.linspace(0, len(case.conditions) - 1, count).astype(int)]
+
+    def quality(spp: int) -> float:
+        return float(
+            np.mean([case.decibels(backend.render(case, c, spp, None), grey_gains(c), "cycles") for c in chosen])
+        )
+
+    def cost(spp: int) -> float:
+        seconds = 0.0
+        for condition in chosen:
+            backend.load(case, condition, spp)
+            start = time.process_time()
+            for name in (None, *case.scene.insertable):
+                backend.render(case, condition, spp, name)
+            seconds += time.process_time() - start
+        total = seconds * len(case.conditions) / count
+        print(f"  {title:36}{spp:5} spp {seconds:6.1f} core-s for {count} conditions, so {total:.1f} for all")
+        return total
+
+    return Way(title, climb(title, case.options, quality), cost)
+
+
+def measure(case: Case, library: AssetLibrary) -> None:
+    """Print tuples a core-second of one case, three ways, and their ratios."""
+    options = case.options
+    name: RendererName = "mitsuba"
+    with open_backend(name, library) as mitsuba, open_backend("cycles", library) as cycles:
+        ways = [
+            light_by_light("(a) Mitsuba, light by light", mitsuba, case),
+            light_by_light("(b) Cycles, light groups", cycles, case),
+            condition_by_condition("(c) Cycles, one render a condition", OneByOne(cycles), case),
+        ]
+        quality = min(options.quality, *(way.best for way in ways))
+        if quality < options.quality:
+            print(f"  not all reach {options.quality} dB with {options.most_spp} samples: compared at {quality:.1f} dB")
+        tuples = len(case.scene.insertable) * len(case.conditions) ** 2
+        rates = []
+        for way in ways:
+            spp = way.least_spp(quality)
+            rates.append(tuples / way.cost(spp))
+            print(f"  {way.title:36}{spp:5} spp {way.ladder[spp]:6.1f} dB {rates[-1]:9.2f} tuples a core-s", flush=True)
+        a, b, c = rates
+        print(f"  ratios: (a)/(b) {a / b:.1f}, (b)/(c) {b / c:.1f}, (a)/(c) {a / c:.1f}", flush=True)
 
 
 def main(options: Options) -> None:
-    """Print tuples a core-second for the three ways, and their ratios."""
-    config = DatasetConfig(seed=options.seed, width=options.size, height=options.size)
-    library, streams = AssetLibrary(), Streams(options.seed, 0)
-    scene, rig = sample_scene(config, library, streams)
-    case = Case(scene, rig, sample_conditions(streams("conditions"), rig, options.conditions), options)
-    print(f"{options.size}x{options.size}, {len(rig.lights)} lights, {len(scene.insertable)} objects, "
-          f"{options.conditions} conditions, at least {options.quality} dB")  # fmt: skip
-    a = measure_layers("(a) Mitsuba, light by light", "mitsuba", case, library)
-    b = measure_layers("(b) Cycles, light groups", "cycles", case, library)
-    c = measure_conditions("(c) Cycles, one render a condition", case, library)
-    print(f"ratios: (a)/(b) {a / b:.1f}, (b)/(c) {b / c:.1f}, (a)/(c) {a / c:.1f}")
+    """Measure every case."""
+    library = AssetLibrary()
+    for named in options.cases:
+        kind, _, seed = named.partition(":")
+        config = DatasetConfig(seed=int(seed), kind=kind, width=options.size, height=options.size)  # type: ignore[arg-type]
+        streams = Streams(config.seed, 0)
+        scene, rig = sample_scene(config, library, streams)
+        case = Case(scene, rig, sample_conditions(streams("conditions"), rig, options.conditions), options)
+        print(f"{named}: {options.size}x{options.size}, {len(rig.lights)} lights, {len(scene.insertable)} objects, "
+              f"{len(case.conditions)} conditions, at least {options.quality} dB", flush=True)  # fmt: skip
+        measure(case, library)
 
 
 if __name__ == "__main__":
