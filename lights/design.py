@@ -18,11 +18,12 @@ SIZES = (0.001, 1.0)
 """Angular diameters of the key [rad], hard to soft; the sun's is 0.0093."""
 RATIOS = (0.7, 12.0)
 """Key-to-fill ratios: the key's illuminance against that of all other lights together, flat to dramatic."""
-MIRED = (110.0, 500.0)
-"""Colour temperatures in reciprocal megakelvin: 9100 K to 2000 K, even steps of which look even."""
+MIRED = (115.0, 430.0)
+"""Colour temperatures in reciprocal megakelvin: 8700 K to 2300 K, even steps of which look even."""
 FRONTAL = 0.12
 """Share of keys within 50 degrees of the cameras' side: flat light, which hides shadows, is kept rare."""
-GEL_SHARE = 0.3
+GEL_SHARE = 0.16
+"""Share of keys behind a gel, a pale one mostly: what floods a whole scene in one colour teaches little."""
 _AXES = 11
 
 
@@ -56,8 +57,8 @@ def rig_design(streams: Streams) -> RigDesign:
     """
     u = _point(streams)
     size = float(SIZES[0] * (SIZES[1] / SIZES[0]) ** u[5])
-    # The power keeps candle-light rarer than daylight.
-    warmth = 1e6 / float(MIRED[0] + u[6] ** 1.35 * (MIRED[1] - MIRED[0]))
+    # The power keeps candle-light rarer than daylight: half of the keys are above 5100 K.
+    warmth = 1e6 / float(MIRED[0] + u[6] ** 2 * (MIRED[1] - MIRED[0]))
     return RigDesign(
         lights=int(np.searchsorted(np.cumsum(COUNTS)[:-1], u[0], side="right")) + 1,
         key=_key(float(u[1]), size),
@@ -66,7 +67,7 @@ def rig_design(streams: Streams) -> RigDesign:
         key_to_fill=float(RATIOS[0] * (RATIOS[1] / RATIOS[0]) ** u[4]),
         angular_size=size,
         colour_temperature=round(warmth),
-        gel_saturation=0.0 if u[7] >= GEL_SHARE else float(0.25 + 0.75 * u[7] / GEL_SHARE),
+        gel_saturation=0.0 if u[7] >= GEL_SHARE else float(0.2 + 0.8 * (u[7] / GEL_SHARE) ** 2.5),
         shaping="gobo" if u[8] < 0.3 else "profile" if u[8] < 0.6 else "plain",
         environment=bool(u[9] < 0.75),
         mood=float(u[10]),

@@ -39,7 +39,7 @@ def sample_rig(
     if scene.kind == "room":
         from lights.rooms import sample_room_rig  # which draws on this module
 
-        return sample_room_rig(streams, scene, library)
+        return sample_room_rig(streams, scene, library, lights=lights)
     place = StillLife.of(scene, library)
     design = rig_design(streams)
     match scene.kind:

@@ -11,24 +11,25 @@ from numpy.typing import NDArray
 
 from lights.balance import scaled
 from lights.colour import gel_rgb, random_gel, temperature_to_rgb
-from lights.irradiance import map_directions, small_map
+from lights.design import rig_design
+from lights.lamps import log_uniform
 from lights.radiometry import area_radiance_from_flux, rgb_from_scalar, spot_intensity_from_flux, watts_from_photometric
-from lights.spec import AreaLight, EmissiveLight, EnvironmentLight, Light, LightRig, SpotLight, SunLight
+from lights.spec import AreaLight, EmissiveLight, Light, LightRig, SpotLight
 from lights.tonemap import luminance
+from lights.windows import daylight, sunlight
 from scenes.assets.library import AssetLibrary
 from scenes.cameras import matrix4
+from scenes.emission import sample_glow
 from scenes.frozen import Rgb
 from scenes.materials import GLOW
 from scenes.rays import body_triangles
-from scenes.spec import Body, MeshAsset, SceneSpec
+from scenes.spec import Body, MeshAsset, SceneSpec, Texture
 from scenes.streams import Streams
 
 MOST_LIGHTS = 8
 DAY_LUX = (200.0, 1200.0)
 """Illuminance on a window from outside by day [lx]: rain clouds to an overcast noon behind trees and houses."""
 DUSK_LUX = (15.0, 120.0)
-SUN_RATIO = (1.0, 5.0)
-"""Illuminance of sunlight, facing it, against that of the sky on the window."""
 ROOM_LUX = (80.0, 350.0)
 """Mean illuminance of the floor by lamps [lx]: a cosy to a well-lit room (EN 12464-1 asks 300 for reading)."""
 UTILISATION = 0.4
@@ -39,10 +40,10 @@ FLUX: dict[str, tuple[float, float]] = {
     "big_table_lamp": (300.0, 800.0), "lamp": (150.0, 600.0), "fireplace": (200.0, 600.0), "candle": (10.0, 20.0),
 }  # fmt: skip
 """Luminous flux [lm] by category: household lamps; a candle of 1 cd gives 4 pi lm."""
+GELS = 0.05
+"""Share of a room's own lamps that shine in a saturated colour."""
 SCREEN_NITS = (90.0, 350.0)
 """Luminance of screens [cd/m²]."""
-SKY_SHARE = 0.15
-"""Share of the rooms high above everything, with nothing but sky before the windows."""
 _FLAMES = ("flame", "vela")
 
 Float64 = NDArray[np.float64]
@@ -57,11 +58,20 @@ class _Glow:
     kind: str
     area: float
 
+    @property
+    def bright(self) -> bool:
+        """Whether it can light a room."""
+        return FLUX.get(self.kind, (0.0, 0.0))[1] > 500
 
-def sample_room_rig(streams: Streams, scene: SceneSpec, library: AssetLibrary) -> LightRig:
+
+def sample_room_rig(
+    streams: Streams, scene: SceneSpec, library: AssetLibrary, *, lights: tuple[int, int] = (1, MOST_LIGHTS)
+) -> LightRig:
     """Draw the lights of a room scene: what is named `GLOW` shines, windows bring daylight or dusk, or none.
 
-    1 to `MOST_LIGHTS` lights. Raises `ValueError` for a scene without windows and without anything that can shine.
+    `lights` (fewest, most): what glows among the inserted objects comes first, then daylight or the brightest lamp,
+    then others of the room's own; recessed downlights make up what the room lacks. Raises `ValueError` for a scene
+    without windows and without anything that can shine.
     """
     rng = streams("rig")
     glows = _glows(rng, scene, library)
@@ -69,25 +79,33 @@ def sample_room_rig(streams: Streams, scene: SceneSpec, library: AssetLibrary) -
     if not windows and not glows:
         raise ValueError(f"scene {scene.index} has neither windows nor lamps, so nothing can light it")
     hour = str(rng.choice(["day", "dusk", "night"], p=[0.66, 0.22, 0.12]))
-    bright = sum(glow.kind in FLUX and FLUX[glow.kind][1] > 500 for glow in glows)
-    if bright < 2:
-        hour = "day"
-    rig: list[Light] = []
-    if windows and hour != "night":
-        sky_lux = _log_uniform(rng, *(DAY_LUX if hour == "day" else DUSK_LUX))
-        rig.append(_daylight(rng, windows, library, sky_lux))
-        if hour == "day" and rng.random() < 0.5:
-            rig.append(_sun(rng, windows, sky_lux))
-    lamps: list[Light] = [_shining(rng, glow) for glow in glows[: MOST_LIGHTS - 3]]
-    extra = _downlight(rng, scene)
+    if sum(glow.bright for glow in glows) < 2 or not windows:
+        hour = "day" if windows else "night"
+    inserted = sum(glow.body.insertable for glow in glows)
+    count = min(max(rig_design(streams).lights, 1 + inserted, lights[0]), lights[1])
+    day: list[Light] = []
+    if hour != "night":
+        sky_lux = log_uniform(rng, *(DAY_LUX if hour == "day" else DUSK_LUX))
+        day.append(daylight(rng, windows, library, sky_lux))
+        if hour == "day" and rng.random() < 0.6:
+            day.append(sunlight(rng, windows, sky_lux))
+    # By night the brightest lamp is what daylight is by day: always on.
+    first = min(inserted + (not day), len(glows))
+    optional: list[Light | _Glow] = [*day[1:], *glows[first:]]
+    optional = [optional[int(i)] for i in rng.permutation(len(optional))]
+    chosen = [*glows[:first], *day[:1], *optional][:count]
+    spots = _downlights(rng, scene, lights[0] - len(chosen), most=count - len(chosen))
+    shining = [_shining(rng, glow, library) for glow in chosen if isinstance(glow, _Glow)]
+    lamps = _scaled_to(log_uniform(rng, *ROOM_LUX) * _floor_area(scene, library), shining, glows)
+    return LightRig(lights=(*(light for light in chosen if not isinstance(light, _Glow)), *lamps, *spots))
+
+
+def _scaled_to(wanted: float, lamps: list[EmissiveLight], glows: list[_Glow]) -> list[Light]:
+    """Make lamps as strong as a room asks that wants `wanted` lumens on its floor, within what is sold."""
     flux = sum(_flux(light, glows) for light in lamps)
-    lux = _log_uniform(rng, *ROOM_LUX)
-    wanted = lux * _floor_area(scene, library) / UTILISATION
-    factor = float(np.clip(wanted / max(flux, 1.0), 0.5, 2.5))
-    screens = {glow.body.name for glow in glows if glow.kind in ("screen", "candle")}
-    rig += [light if light.name in screens else scaled(light, factor) for light in lamps]
-    rig += [extra] if extra is not None else []
-    return LightRig(lights=tuple(rig))
+    factor = float(np.clip(wanted / UTILISATION / max(flux, 1.0), 0.5, 2.5))
+    bright = {glow.body.name for glow in glows if glow.bright}
+    return [scaled(light, factor) if light.name in bright else light for light in lamps]
 
 
 def _glows(rng: np.random.Generator, scene: SceneSpec, library: AssetLibrary) -> list[_Glow]:
@@ -121,20 +139,28 @@ def _crosses(body: Body, part: int, library: AssetLibrary) -> Float64:
     return np.asarray(np.cross(b - a, c - a))
 
 
-def _shining(rng: np.random.Generator, glow: _Glow) -> EmissiveLight:
-    """Let a part shine: lamps warm mostly, screens like daylight, a few lamps through a gel."""
-    if glow.kind == "screen":
-        temperature, strength = float(rng.uniform(6000.0, 8000.0)), _log_uniform(rng, *SCREEN_NITS)
-        radiance = watts_from_photometric(strength)
+def _shining(rng: np.random.Generator, glow: _Glow, library: AssetLibrary) -> EmissiveLight:
+    """Let a part shine: objects as such things do (`scenes.emission`), screens like daylight, lamps warm mostly."""
+    assert isinstance(glow.body.geometry, MeshAsset)
+    info = library.info(glow.body.geometry.asset)
+    texture: Texture | None = None
+    if glow.body.role == "object":
+        scale = float(np.cbrt(np.linalg.det(np.array(glow.body.world_from_body)[:3, :3])))
+        found = sample_glow(rng, library, info, glow.part, scale=scale)
+        temperature, coloured, texture = found.kelvin, found.coloured, found.texture
+        radiance = watts_from_photometric(found.nits)
+    elif glow.kind == "screen":
+        texture = library.mesh(info.id).parts[glow.part].material.base_color_texture
+        temperature, coloured = float(rng.uniform(6000.0, 8000.0)), False
+        radiance = watts_from_photometric(log_uniform(rng, *SCREEN_NITS))
     else:
-        low = 1800.0 if glow.kind in ("candle", "fireplace") else 2500.0
-        temperature = float(np.clip(np.exp(rng.normal(np.log(low * 1.4), 0.22)), low, 6500.0))
-        flux = watts_from_photometric(_log_uniform(rng, *FLUX[glow.kind]))
-        radiance = area_radiance_from_flux(flux, glow.area)
-    gel: str | None = None
+        low, usual = (1800.0, 2000.0) if glow.kind == "fireplace" else (2500.0, 3800.0)
+        temperature = float(np.clip(np.exp(rng.normal(np.log(usual), 0.2)), low, 6500.0))
+        coloured = glow.kind != "fireplace" and rng.random() < GELS
+        radiance = area_radiance_from_flux(watts_from_photometric(log_uniform(rng, *FLUX[glow.kind])), glow.area)
+    gel = random_gel(rng) if coloured else None
     colour = temperature_to_rgb(round(temperature))
-    if glow.kind not in ("candle", "fireplace") and rng.random() < 0.08:
-        gel = random_gel(rng)
+    if gel is not None:
         tint = gel_rgb(gel, float(rng.uniform(0.4, 0.9)))
         colour = (colour[0] * tint[0], colour[1] * tint[1], colour[2] * tint[2])
     return EmissiveLight(
@@ -144,6 +170,7 @@ def _shining(rng: np.random.Generator, glow: _Glow) -> EmissiveLight:
         body=glow.body.name,
         part=glow.part,
         radiance=rgb_from_scalar(radiance, colour),
+        texture=texture,
     )
 
 
@@ -151,7 +178,7 @@ def _flux(light: Light, glows: list[_Glow]) -> float:
     """Return the luminous flux of a shining part [lm], 0 for screens and candles."""
     assert isinstance(light, EmissiveLight)
     glow = next(glow for glow in glows if glow.body.name == light.body)
-    if glow.kind in ("screen", "candle"):
+    if not glow.bright:
         return 0.0
     return _grey(light.radiance) * np.pi * glow.area / watts_from_photometric(1.0)
 
@@ -165,71 +192,30 @@ def _floor_area(scene: SceneSpec, library: AssetLibrary) -> float:
     return float(np.prod(span))
 
 
-def _daylight(rng: np.random.Generator, windows: list[Body], library: AssetLibrary, lux: float) -> EnvironmentLight:
-    """Draw what is outside: an outdoor map turned so that its bright side is before a window, scaled to `lux`."""
-    outward = _outward(windows[int(rng.integers(len(windows)))])
-    wanted = watts_from_photometric(lux)
-    wanted_kind = "sky" if rng.random() < SKY_SHARE else "outdoor"
-    found = [info for info in library.list("environment") if info.category in ("outdoor", "sky")]
-    maps = [info for info in found if info.category == wanted_kind] or found
-    if not maps:
-        temperature = round(float(rng.uniform(5500.0, 9000.0)))
-        # A uniform sphere of radiance L gives pi L.
-        colour = rgb_from_scalar(wanted / np.pi, temperature_to_rgb(temperature))
-        return EnvironmentLight(name="environment", colour_temperature=temperature, radiance=colour)
-    info = maps[int(rng.integers(len(maps)))]
-    image = luminance(small_map(library, info.id))
-    directions, solid_angle = map_directions(0.0)
-    mean = ((image * solid_angle[:, None])[..., None] ** 1.2 * directions).sum(axis=(0, 1))
-    azimuth = float(np.arctan2(outward[1], outward[0])) + float(rng.uniform(-1.3, 1.3))
-    rotation = (azimuth - float(np.arctan2(mean[1], mean[0]))) % (2 * np.pi)
-    directions, _ = map_directions(rotation)
-    cosine = np.maximum(directions @ outward, 0.0)
-    unit = float((image * solid_angle[:, None] * cosine).sum())
-    factor = wanted / max(unit, 1e-9)
-    return EnvironmentLight(name="environment", map=info.id, rotation=rotation, radiance=(factor, factor, factor))
+def _downlights(rng: np.random.Generator, scene: SceneSpec, fewest: int, *, most: int) -> list[Light]:
+    """Let recessed spots or flat panels in the ceiling shine down: one in a third of the rooms.
+
+    At least `fewest`, and none beyond `most`.
+    """
+    count = min(max(fewest, int(rng.random() < 0.35)), max(most, 0))
+    return [_downlight(rng, scene, "" if number == 0 else f"_{number + 1}") for number in range(count)]
 
 
-def _outward(window: Body) -> Float64:
-    """Return the way out of a window (3,): assets face the room with -Y."""
-    pose = np.array(window.world_from_body)
-    return np.asarray(pose[:3, 1] / np.linalg.norm(pose[:3, 1]))
-
-
-def _sun(rng: np.random.Generator, windows: list[Body], sky_lux: float) -> SunLight:
-    """Let the sun in at a window, from the side and low enough to reach into the room."""
-    outward = _outward(windows[int(rng.integers(len(windows)))])
-    azimuth = float(np.arctan2(outward[1], outward[0])) + float(rng.uniform(-1.0, 1.0))
-    elevation = float(np.radians(rng.uniform(14.0, 50.0)))
-    towards = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
-    temperature = round(float(np.interp(elevation, [0.25, 0.9], [3300.0, 5600.0]) * rng.uniform(0.95, 1.05)))
-    strength = watts_from_photometric(sky_lux * _log_uniform(rng, *SUN_RATIO))
-    angle = 0.00918 if rng.random() < 0.6 else _log_uniform(rng, 0.00918, 0.05)
-    return SunLight(
-        name="sun",
-        colour_temperature=temperature,
-        direction=(float(-towards[0]), float(-towards[1]), float(-towards[2])),
-        irradiance=rgb_from_scalar(strength, temperature_to_rgb(temperature)),
-        angle=angle,
-    )
-
-
-def _downlight(rng: np.random.Generator, scene: SceneSpec) -> SpotLight | AreaLight | None:
-    """Let a recessed spot or a flat panel in the ceiling shine down near what is inserted, in a third of the rooms."""
-    chance = rng.random()
-    if chance > 0.35:
-        return None
+def _downlight(rng: np.random.Generator, scene: SceneSpec, suffix: str) -> SpotLight | AreaLight:
+    """Let one shine down between what is inserted and the middle of the room."""
     places = np.array([np.array(body.world_from_body)[:3, 3] for body in scene.bodies if body.insertable])
     ceiling = next(body for body in scene.bodies if body.category == "ceiling")
-    height = float(np.array(ceiling.world_from_body)[2, 3])
-    place = np.array([*(places.mean(axis=0)[:2] + rng.uniform(-0.4, 0.4, 2)), height - 0.01])
-    temperature = round(float(rng.uniform(2700.0, 4500.0)))
+    middle = np.array(ceiling.world_from_body)[:3, 3]
+    inwards = float(rng.uniform(0.1, 0.5) if not suffix else rng.uniform(0.2, 1.2))
+    flat = (1 - inwards) * places.mean(axis=0)[:2] + inwards * middle[:2] + rng.uniform(-0.2, 0.2, 2)
+    place = np.array([*flat, middle[2] - 0.01])
+    temperature = round(float(rng.uniform(2900.0, 5500.0)))
     colour = temperature_to_rgb(temperature)
-    if chance < 0.2:
+    if rng.random() < 0.6:
         half = float(np.radians(rng.uniform(16.0, 38.0)))
-        flux = watts_from_photometric(_log_uniform(rng, 250.0, 700.0))
+        flux = watts_from_photometric(log_uniform(rng, 250.0, 700.0))
         return SpotLight(
-            name="downlight",
+            name=f"downlight{suffix}",
             colour_temperature=temperature,
             position=(float(place[0]), float(place[1]), float(place[2])),
             direction=(0.0, 0.0, -1.0),
@@ -241,20 +227,15 @@ def _downlight(rng: np.random.Generator, scene: SceneSpec) -> SpotLight | AreaLi
     side = float(rng.uniform(0.2, 0.6))
     pose = np.eye(4)
     pose[:3, 3] = place
-    flux = watts_from_photometric(_log_uniform(rng, 700.0, 2500.0))
+    flux = watts_from_photometric(log_uniform(rng, 700.0, 2500.0))
     return AreaLight(
-        name="panel",
+        name=f"panel{suffix}",
         colour_temperature=temperature,
         width=side,
         height=side,
         world_from_light=matrix4(pose),
         radiance=rgb_from_scalar(area_radiance_from_flux(flux, side * side), colour),
     )
-
-
-def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
-    """Draw between two positive numbers, evenly in their logarithm."""
-    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
 def _grey(colour: Rgb) -> float:

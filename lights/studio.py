@@ -80,7 +80,7 @@ def _rim(rng: np.random.Generator, place: StillLife, design: RigDesign) -> Share
     """Draw an edge of light from behind with a strip."""
     side = -np.sign(design.azimuth) * rng.uniform(125.0, 170.0)
     size = log_uniform(rng, 0.08, 0.3)
-    return _softbox(rng, place, "rim", azimuth=side, elevation=rng.uniform(15, 40), size=size, aspect=STRIP, gels=0.4)
+    return _softbox(rng, place, "rim", azimuth=side, elevation=rng.uniform(15, 40), size=size, aspect=STRIP, gels=0.3)
 
 
 def _kicker(rng: np.random.Generator, place: StillLife, design: RigDesign) -> Share:
@@ -88,7 +88,7 @@ def _kicker(rng: np.random.Generator, place: StillLife, design: RigDesign) -> Sh
     side = np.sign(design.azimuth) * rng.uniform(105.0, 160.0)
     size = log_uniform(rng, 0.06, 0.25)
     return _softbox(
-        rng, place, "kicker", azimuth=side, elevation=rng.uniform(12, 30), size=size, aspect=STRIP, gels=0.4
+        rng, place, "kicker", azimuth=side, elevation=rng.uniform(12, 30), size=size, aspect=STRIP, gels=0.3
     )
 
 

@@ -14,9 +14,9 @@ from lights.lamps import LampKind, Post, Tint, draw_tint, gelled, hang, log_unif
 from lights.radiometry import rgb_from_scalar, watts_from_photometric
 from lights.spec import EmissiveLight, EnvironmentLight, Light, LightRig, PointLight, SpotLight, SunLight
 from scenes.emission import sample_glow
-from scenes.receivers import is_mirror
+from scenes.looks import is_mirror
+from scenes.setting import emissive_candidate
 from scenes.spec import MeshAsset
-from scenes.still_life import emissive_candidate
 
 LightKind = Literal["environment", "sun", "point", "spot", "area", "emissive"]
 
@@ -181,7 +181,7 @@ def _fills(
             float(rng.choice([-1.0, 1.0]) * np.radians(rng.uniform(*where.azimuth))),
             float(np.radians(rng.uniform(*where.elevation))),
             log_uniform(rng, *_SIZES[kind]),
-            draw_tint(rng, gels=0.2),
+            draw_tint(rng, gels=0.14),
             "gobo" if rng.random() < 0.15 else "profile" if rng.random() < 0.4 else "plain",
         )
         shares.append(Share(hang(rng, place, post), log_uniform(rng, *where.strength)))

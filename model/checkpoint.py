@@ -5,6 +5,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TypeVar
 
 from pydantic import ValidationError
 from safetensors import SafetensorError, safe_open
@@ -14,9 +15,11 @@ from torch.optim import Optimizer
 
 from datagen.errors import UserError
 from model.compositing2d import Compositing2D
+from model.compositing3d import Compositing3D
 from model.config import NetworkConfig, TrainingConfig
 
 Tensors = dict[str, Tensor]
+Network = TypeVar("Network", Compositing2D, Compositing3D)
 SCHEMA_VERSION = 1
 
 
@@ -98,11 +101,20 @@ def save_network(path: Path, network: nn.Module, config: NetworkConfig, about: M
 
 def load_network(path: Path) -> Compositing2D:
     """Read finished weights of the 2D stage; raises `UserError` naming the file and what is wrong with it."""
+    return _loaded(path, Compositing2D)
+
+
+def load_network3d(path: Path) -> Compositing3D:
+    """Read finished weights of the 3D stage; raises `UserError` naming the file and what is wrong with it."""
+    return _loaded(path, Compositing3D)
+
+
+def _loaded(path: Path, kind: type[Network]) -> Network:
     if not path.is_file():
         raise UserError(f"weights {path} do not exist; make some with: multilight train CONFIG")
     try:
         tensors, header = _read_tensors(path)
-        network = Compositing2D(NetworkConfig.from_json(header["network"]))
+        network = kind(NetworkConfig.from_json(header["network"]))
         network.load_state_dict(tensors)
     except (OSError, ValueError, KeyError, ValidationError, RuntimeError) as error:
         raise UserError(f"weights {path} cannot be read: {str(error).splitlines()[0]}") from None

@@ -2,7 +2,8 @@
 
 from model.commands.evaluate import Evaluate
 from model.commands.harmonize import Harmonize
+from model.commands.insert import Insert
 from model.commands.train import Train
 
-COMMANDS: dict[str, type] = {"train": Train, "evaluate": Evaluate, "harmonize": Harmonize}
+COMMANDS: dict[str, type] = {"train": Train, "evaluate": Evaluate, "harmonize": Harmonize, "insert": Insert}
 """Each command's name and its options, as a dataclass whose `run` returns the exit code."""

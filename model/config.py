@@ -4,7 +4,7 @@ import difflib
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import ConfigDict, Field, ValidationError, model_validator
 
@@ -176,11 +176,18 @@ class TrainingConfig(Frozen):
         return self
 
 
-def load_training_config(path: Path, overrides: dict[str, Any]) -> TrainingConfig:
-    """Read a TOML file, lay the command line's values over it (dotted keys) and validate.
+Config = TypeVar("Config", bound=TrainingConfig)
 
-    Relative paths in the file are relative to the working directory. Raises `UserError` with the file, the key, the
-    value and what is allowed.
+
+def load_training_config(path: Path, overrides: dict[str, Any]) -> TrainingConfig:
+    """Read the TOML file of a training of the 2D stage; see `read_values` and `validated`."""
+    return validated(read_values(path, overrides), TrainingConfig, str(path))
+
+
+def read_values(path: Path, overrides: dict[str, Any]) -> dict[str, Any]:
+    """Read a TOML file and lay the command line's values over it (dotted keys; None where not given).
+
+    Relative paths in the file are relative to the working directory. Raises `UserError` naming the file.
     """
     try:
         values = tomllib.loads(path.read_text())
@@ -193,10 +200,15 @@ def load_training_config(path: Path, overrides: dict[str, Any]) -> TrainingConfi
             table, _, name = key.rpartition(".")
             place = values.setdefault(table, {}) if table else values
             place[name] = value
+    return values
+
+
+def validated(values: dict[str, Any], kind: type[Config], source: str) -> Config:
+    """Validate a training's values; raises `UserError` with the file, the key, the value and what is allowed."""
     try:
-        return TrainingConfig.model_validate(values)
+        return kind.model_validate(values)
     except ValidationError as error:
-        raise UserError(_describe(error, str(path))) from None
+        raise UserError(_describe(error, source, kind)) from None
 
 
 def training_keys(model: type[Frozen] = TrainingConfig, prefix: str = "") -> Iterator[str]:
@@ -209,7 +221,7 @@ def training_keys(model: type[Frozen] = TrainingConfig, prefix: str = "") -> Ite
             yield prefix + name
 
 
-def _describe(error: ValidationError, source: str) -> str:
+def _describe(error: ValidationError, source: str, kind: type[Frozen]) -> str:
     """Put a validation error into one line: source, key, value and what is allowed, or the key that was meant."""
     first = error.errors()[0]
     key = ".".join(str(part) for part in first["loc"] if not isinstance(part, int)) or "configuration"
@@ -218,7 +230,7 @@ def _describe(error: ValidationError, source: str) -> str:
     if first["type"] != "extra_forbidden":
         shown = f" = {first['input']!r}" if not isinstance(first["input"], dict) else ""
         return f"{source}: {key}{shown}: {first['msg']}"
-    known = list(training_keys())
+    known = list(training_keys(kind))
     lasts = {name.rpartition(".")[2]: name for name in reversed(known)}
     close = difflib.get_close_matches(key, known, n=1) or [
         lasts[name] for name in difflib.get_close_matches(key.rpartition(".")[2], lasts, n=1)

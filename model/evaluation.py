@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from model.baselines import BASELINES, Baseline
 from model.evaluation_cases import Case, Group, LazyGroup
+from model.evaluation_scenes import SceneMethod
 from model.evaluation_views import disagreement, shared_pairs
 from model.harmonize import Harmonizer
 from model.lpips import Lpips
@@ -81,8 +82,8 @@ class Evaluation:
         return mean_scores([frame.scores[method] for frame in self.frames_of(subset) if frame.scores])
 
     def seconds(self, method: str) -> float:
-        """Return the median time [s] that a frame takes."""
-        return float(np.median([frame.seconds[method] for frame in self.frames]))
+        """Return the mean time [s] that a frame takes; what a method does once a scene is shared by its frames."""
+        return float(np.mean([frame.seconds[method] for frame in self.frames]))
 
     def inconsistency(self, method: str, subset: str | None = None) -> tuple[float, float]:
         """Return the mean disagreement between views, in [0, 1], and its ratio to that of the true pictures."""
@@ -100,7 +101,7 @@ def methods_of(models: Mapping[str, Harmonizer]) -> dict[str, Method]:
         return lambda case: baseline(case.composite, case.background, case.mask)
 
     def learned(harmonizer: Harmonizer) -> Method:
-        return lambda case: harmonizer(case.composite, case.background, case.depth)
+        return lambda case: harmonizer(case.composite, case.background, case.depth, case.mask)
 
     methods = {name: classical(baseline) for name, baseline in BASELINES.items()}
     return methods | {name: learned(harmonizer) for name, harmonizer in models.items()}
@@ -118,6 +119,9 @@ def evaluate(
     for number, load in enumerate(groups):
         report(number, len(groups))
         group = load()
+        for method in methods.values():
+            if isinstance(method, SceneMethod):
+                method.begin(group)
         pictures = [_judge(case, group, methods, found, lpips) for case in group.cases]
         if len(group.cameras) > 1 and all(case.effect is not None for case in group.cases):
             _compare_views(group, pictures, found)

@@ -18,8 +18,8 @@ from model.depth import DepthModel, depth_from_metres, guessed_depth
 from model.pictures import read_depth, read_mask, read_picture, write_picture
 
 Float32 = NDArray[np.float32]
-Harmonizer = Callable[[Float32, Float32, Float32], Float32]
-"""Composite and background (H, W, 3), display-encoded in [0, 1], and depth (H, W) in [0, 1] → picture (H, W, 3)."""
+Harmonizer = Callable[[Float32, Float32, Float32, Float32], Float32]
+"""Composite and background (H, W, 3), display-encoded, depth and mask (H, W), all in [0, 1] → picture (H, W, 3)."""
 
 DEFAULT_WEIGHTS = Path(__file__).parent / "weights" / "slim.safetensors"
 WHOLE = 512
@@ -71,7 +71,7 @@ def harmonize_files(files: Files, weights: Path, out: Path, device: str = "auto"
 def network_harmonizer(weights: Path, device: str = "auto") -> Harmonizer:
     """Load trained weights as a function from pictures to the harmonized picture."""
     network = load_network(weights).to(chosen_device(device))
-    return lambda composite, background, depth: harmonize(network, composite, background, depth)
+    return lambda composite, background, depth, mask: harmonize(network, composite, background, depth, mask=mask)
 
 
 def chosen_device(name: str) -> torch.device:
@@ -133,13 +133,15 @@ def _from_reduced(network: Compositing2D, pictures: list[Tensor], mask: Tensor |
 
 def _from_tiles(network: Compositing2D, pictures: list[Tensor], mask: Tensor | None) -> Tensor:
     height, width = pictures[0].shape[-2:]
+    if mask is None:  # of the whole picture: at a tile's border it would differ from its neighbour's
+        mask = soft_mask(pictures[0], pictures[1])
     total, weight = torch.zeros_like(pictures[0]), torch.zeros_like(pictures[0][:, :1])
     for top in _starts(height):
         for left in _starts(width):
             window = (..., slice(top, top + WHOLE), slice(left, left + WHOLE))
             tile = [picture[window] for picture in pictures]
             share = _fade(tile[0].shape[-2:]).to(total)
-            total[window] += share * network(*tile, None if mask is None else mask[window])
+            total[window] += share * network(*tile, mask[window])
             weight[window] += share
     return total / weight
 

@@ -123,7 +123,7 @@ class Trainer:
         self.optimizer.zero_grad(set_to_none=True)
         with _memory_told(self.config, number):
             with torch.autocast(self.device.type, torch.bfloat16, enabled=self.bf16):
-                image = self.module(batch.composite, batch.background, batch.depth)
+                image = self.module(batch.composite, batch.background, batch.depth, batch.mask)
             losses = self.loss(image.float(), batch.target, batch.mask, batch.effect)
             _check_finite(losses["loss"], batch, self.progress.step)
             losses["loss"].mean().backward()

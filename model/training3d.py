@@ -95,7 +95,7 @@ class SceneTrainer:
 
     @torch.no_grad()
     def _harmonized(self, sample: SceneSample) -> Tensor:
-        return self.stage2d(sample.composite, sample.background, sample.depth)
+        return self.stage2d(sample.composite, sample.background, sample.depth, sample.mask)
 
     def _save(self, log: Log, watched: SceneSamples | None) -> dict[str, float]:
         """Write a checkpoint and validate, where there is anything to validate on."""

@@ -29,7 +29,7 @@ def validate(network: nn.Module, batches: list[Batch]) -> dict[str, float]:
     """Return mean regional PSNR [dB] of the raw composite and of the network over validation batches."""
     found: dict[str, list[Tensor]] = {"composite": [], "network": []}
     for b in batches:
-        image = network(b.composite, b.background, b.depth)
+        image = network(b.composite, b.background, b.depth, b.mask)
         found["network"].append(regional_psnr(image, b.target, b.mask, b.effect))
         found["composite"].append(regional_psnr(b.composite, b.target, b.mask, b.effect))
     return {name: float(torch.cat(values).mean()) for name, values in found.items()}
@@ -39,7 +39,7 @@ def validate(network: nn.Module, batches: list[Batch]) -> dict[str, float]:
 def sample_sheet(network: nn.Module, batch: Batch) -> Tensor:
     """Show background, composite, prediction, target and four times the error, a row a sample: (3, R*S, 5*S)."""
     b = batch
-    image = network(b.composite, b.background, b.depth)
+    image = network(b.composite, b.background, b.depth, b.mask)
     error = (4.0 * (image - b.target).abs()).clamp(max=1.0)
     rows = torch.cat((b.background, b.composite, image, b.target, error), dim=3)[:SHOWN]
     return torch.cat(list(rows), dim=1).cpu()

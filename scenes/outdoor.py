@@ -7,8 +7,9 @@ from scenes.assets.info import AssetInfo
 from scenes.assets.library import AssetError, AssetLibrary
 from scenes.materials import pick_texture, sample_material, textured
 from scenes.placement import PlacementError, Standing, resting_poses
+from scenes.setting import Setting, flat_surface
 from scenes.spec import Body, Material, SceneSpec
-from scenes.still_life import Choice, Plan, Setting, StillLifeSettings, flat_surface, sample_still_life
+from scenes.still_life import Choice, Plan, StillLifeSettings, sample_still_life
 from scenes.streams import Streams
 from scenes.surroundings import plane, upright
 

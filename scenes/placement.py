@@ -1,6 +1,6 @@
 """Standing objects on a table: resting poses, stability, and a clustered still life without interpenetration."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,10 +11,13 @@ from trimesh.collision import CollisionManager
 
 from scenes.assets.info import AssetInfo
 from scenes.meshes import Mesh
+from scenes.physics.solids import Solid
 from scenes.support import SupportSurface, convex_polygon, inside_convex, stacked_faces
 
-CONTACT = 0.003
-"""Vertices this close [m] to the lowest one carry the object."""
+CONTACT = 6e-4
+"""Vertices this close [m] to the lowest one carry the object: less than what counts as contact (`scenes.contact`)."""
+TIPPING, TIPS = np.radians(6.0), 16
+"""How far [rad] something may tip to find its rest, and on how many faces it tries."""
 GAP = 0.004
 """Smallest distance [m] between the convex hulls of two objects."""
 EDGE = 0.015
@@ -87,18 +90,33 @@ class Stage:
 
 
 def resting_poses(info: AssetInfo, mesh: Mesh) -> list[Standing]:
-    """Return the poses in which an asset rests: as it comes, and for blocks on each face that carries it."""
-    solid = Trimesh(mesh.vertices(), stacked_faces(mesh), process=False)
-    hull = solid.convex_hull
-    centre = np.asarray(solid.center_mass if solid.is_watertight else hull.center_mass)
+    """Return the poses in which an asset rests: as it comes, and for blocks on each face that carries it.
+
+    What stands unevenly as it comes (a shoe, a bag) tips over by a few degrees on to the face of its hull that
+    carries it.
+    """
+    vertices, faces = mesh.vertices().astype(np.float64), stacked_faces(mesh)
+    hull = Trimesh(vertices, faces, process=False).convex_hull
+    centre = Solid(vertices, faces).centre_of_mass
     turns = [np.eye(3)]
     if info.category in BLOCKS:
         normals = hull.facets_normal[hull.facets_area > 0.08 * hull.area]
         turns += [
             Rotation.align_vectors([[0, 0, -1]], [normal])[0].as_matrix() for normal in normals if normal[2] > -0.99
         ]
-    standing = (_standing(info, mesh, hull, centre, turn) for turn in turns)
-    return [pose for pose in standing if pose is not None]
+    standing = [pose for turn in turns if (pose := _standing(info, mesh, hull, centre, turn)) is not None]
+    if standing:
+        return standing
+    tipped = (_standing(info, mesh, hull, centre, turn) for turn in _tipping(hull))
+    return [pose for pose in tipped if pose is not None][:1]
+
+
+def _tipping(hull: Trimesh) -> Iterator[Float64]:
+    """Yield the turns (3, 3) that put a face on the ground which all but lies there already, the flattest first."""
+    normals = np.asarray(hull.face_normals)
+    for face in np.argsort(normals[:, 2])[:TIPS]:
+        if normals[face, 2] < -np.cos(TIPPING):
+            yield Rotation.align_vectors([[0, 0, -1]], [normals[face]])[0].as_matrix()
 
 
 def _standing(info: AssetInfo, mesh: Mesh, hull: Trimesh, centre: Float64, turn: Float64) -> Standing | None:

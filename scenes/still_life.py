@@ -5,7 +5,7 @@ What the kinds of scene share. Each kind builds a `Setting`, all that is there b
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
@@ -14,21 +14,19 @@ from pydantic import Field, PositiveInt, model_validator
 from trimesh import Trimesh
 from trimesh.collision import CollisionManager
 
-from scenes.assets.info import AssetInfo
 from scenes.assets.library import AssetLibrary
 from scenes.beside import put_beside
 from scenes.cameras import matrix4
 from scenes.frozen import Frozen, UnitFloat
-from scenes.materials import GLOW, body_materials
-from scenes.meshes import Mesh
+from scenes.materials import body_materials
 from scenes.paths import CameraSettings, TrajectoryShares, choose_trajectory
-from scenes.placement import PlacementError, Stage, Standing, arrange
+from scenes.placement import PlacementError, Standing, arrange
 from scenes.plinths import Raised, raise_some
 from scenes.rays import SceneRays, body_triangles, surface_points
 from scenes.selection import choose_objects
-from scenes.spec import Body, Camera, Material, MeshAsset, Role, SceneKind, SceneSpec
+from scenes.setting import Setting, about_z, make_body
+from scenes.spec import Body, Camera, Role, SceneKind, SceneSpec
 from scenes.streams import Streams
-from scenes.support import SupportSurface
 from scenes.trajectory import Subject, TrajectoryError, sample_trajectory
 
 if TYPE_CHECKING:
@@ -84,38 +82,6 @@ class Plan:
     insertable: int
     glows: bool
     piled: bool = False
-
-
-@dataclass(frozen=True)
-class Setting:
-    """All that is there before the objects come; world frame, metres.
-
-    They stand on `surface`, given in a frame that `world_from_surface` (4, 4) takes to the world. Cameras stand within
-    `opening` [rad] of azimuth `front` [rad], and keep clear of the convex hulls of the bodies named in `solids` and of
-    the triangles of all others. `most` bounds the number of objects; the share `raised` of them gets a plinth, and
-    the `beside` pieces are put behind and beside them.
-    """
-
-    bodies: tuple[Body, ...]
-    solids: tuple[str, ...]
-    surface: SupportSurface
-    world_from_surface: Float64
-    front: float
-    opening: float
-    most: int = 8
-    raised: float = 0.0
-    beside: tuple[Standing, ...] = ()
-
-    def stage(self, rng: np.random.Generator) -> Stage:
-        """Choose the focus of the still life: well inside the surface, rather towards the cameras."""
-        pose = self.world_from_surface
-        front = np.array([np.cos(self.front), np.sin(self.front)])
-        room = self.surface.clearance[self.surface.free]
-        inner = self.surface.centres[room >= 0.9 * min(0.34, float(room.max()))]
-        world = inner @ pose[:2, :2].T + pose[:2, 3]
-        forward = world @ front
-        near = world[forward >= np.quantile(forward, 0.5)]
-        return Stage(self.surface, pose, near[int(rng.integers(len(near)))], front)
 
 
 Chooser = Callable[[np.random.Generator, AssetLibrary, Plan, Setting], Choice]
@@ -176,18 +142,6 @@ def sample_still_life(
     raise SceneSamplingError(
         f"seed {streams.seed}, scene {index}: no attempt of {ATTEMPTS} succeeded; the last: {reason}"
     )
-
-
-def emissive_candidate(scene: SceneSpec) -> tuple[str, int] | None:
-    """Return the name of the body, and the part of it, that is meant to shine; None where nothing is.
-
-    The rule: its material is named `scenes.materials.GLOW`.
-    """
-    for body in scene.bodies:
-        for part, material in enumerate(body.materials):
-            if material.name == GLOW:
-                return body.name, part
-    return None
 
 
 def _arranged(
@@ -283,41 +237,6 @@ def _names(items: Sequence[Standing], taken: set[str]) -> list[str]:
             name, number = f"{plain}_{number}", number + 1
         names.append(name)
     return names
-
-
-def make_body(name: str, role: Role, info: AssetInfo, mesh: Mesh, materials: Sequence[Material], pose: Float64) -> Body:
-    """Make a body of a library asset."""
-    return Body(
-        name=name,
-        role=role,
-        category=info.category,
-        geometry=MeshAsset(asset=info.id, mesh_sha256=mesh.sha256(), parts=len(mesh.parts)),
-        materials=tuple(materials),
-        world_from_body=matrix4(pose),
-    )
-
-
-def about_z(angle: float) -> Float64:
-    """Return the rotation (4, 4) about +Z by `angle` [rad]."""
-    turn = np.eye(4)
-    turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-    return turn
-
-
-def flat_surface(width: float, depth: float, *, cell: float = 0.02) -> SupportSurface:
-    """Return a free rectangle of `width` x `depth` [m] about the origin of its frame, at height 0."""
-    shape = (round(depth / cell), round(width / cell))
-    origin = np.array([-width / 2, -depth / 2])
-    return SupportSurface(height=0.0, origin=origin, cell=cell, free=np.ones(shape, bool), part=0)
-
-
-def without_box(surface: SupportSurface, low: Float64, high: Float64) -> SupportSurface:
-    """Return a surface without the cells between two corners (2,) [m] of its own frame."""
-    free = surface.free.copy()
-    first = np.clip(np.floor((low - surface.origin) / surface.cell).astype(int), 0, None)
-    last = np.clip(np.ceil((high - surface.origin) / surface.cell).astype(int), 0, None)
-    free[first[1] : last[1], first[0] : last[0]] = False
-    return replace(surface, free=free)
 
 
 def _turned(kind: SceneKind, index: int, bodies: Sequence[Body], cameras: Sequence[Camera], angle: float) -> SceneSpec:

@@ -10,8 +10,9 @@ from scenes.assets.library import AssetLibrary
 from scenes.backdrop import ROLL, ROLL_ID, STUDIO, SWEEP_ID, TABLE_SWEEP_IDS, table_size
 from scenes.materials import linear_from_hex, painted_wall, sample_material
 from scenes.receivers import choose_receiver, with_receiver
+from scenes.setting import Setting, flat_surface, make_body
 from scenes.spec import Body, Material, SceneSpec
-from scenes.still_life import Setting, StillLifeSettings, flat_surface, make_body, sample_still_life
+from scenes.still_life import StillLifeSettings, sample_still_life
 from scenes.streams import Streams
 from scenes.surroundings import plane, upright
 
@@ -89,7 +90,7 @@ def _floor(rng: np.random.Generator, library: AssetLibrary, roll: bool, closed: 
     size, asset = (ROLL, ROLL_ID) if roll else (STUDIO, SWEEP_ID)
     mesh = library.mesh(asset)
     pose = np.eye(4)
-    pose[2, 3] = 0.001
+    pose[2, 3] = 0.0003
     bar = sample_material(rng, "polished", name="bar")
     materials = (_paper(rng), bar)[: len(mesh.parts)]
     body = make_body("backdrop", "surrounding", library.info(asset), mesh, materials, pose)

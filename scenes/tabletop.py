@@ -10,16 +10,9 @@ from scenes.meshes import Mesh
 from scenes.rays import body_triangles
 from scenes.receivers import ReceiverKind, choose_receiver, receiver_material, with_receiver
 from scenes.selection import choose_table
+from scenes.setting import Setting, about_z, emissive_candidate, make_body
 from scenes.spec import Body, SceneSpec
-from scenes.still_life import (
-    SceneSamplingError,
-    Setting,
-    StillLifeSettings,
-    about_z,
-    emissive_candidate,
-    make_body,
-    sample_still_life,
-)
+from scenes.still_life import SceneSamplingError, StillLifeSettings, sample_still_life
 from scenes.streams import Streams
 from scenes.support import SupportSurface
 from scenes.surroundings import KINDS, SHARES, SurroundingKind, sample_surrounding

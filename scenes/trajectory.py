@@ -10,6 +10,7 @@ from trimesh.creation import box
 from trimesh.triangles import closest_point
 
 from scenes.cameras import project, with_depth_of_field
+from scenes.closer import CLEAR, closer_views, move_in
 from scenes.paths import DEFAULT_CAMERAS, CameraSettings, Framing, TrajectoryKind, camera_on, draw_path
 from scenes.rays import SceneRays
 from scenes.spec import Camera
@@ -24,6 +25,9 @@ TRIES = 12
 """Paths that are drawn before a scene is given up."""
 CANDIDATES = 8
 """Cameras that are drawn for one view of a `random` trajectory."""
+
+CLOSER = frozenset({"approach", "random"})
+"""Trajectories whose last views may move in on one object."""
 
 _POINT = box((1e-4, 1e-4, 1e-4))
 
@@ -81,7 +85,9 @@ def sample_trajectory(
             cameras = tuple(camera_on(path, view, _aims(subject), size) for view in range(views))
         free = len(cameras) == views and all(_is_free(camera, subject) for camera in cameras)
         if free and _shows(cameras, subject, settings.min_visible_share):
-            return _focused(rng, cameras, subject, settings)
+            if kind in CLOSER:
+                cameras = _moved_in(rng, cameras, subject, settings.min_visible_share)
+            return focused(rng, cameras, subject.watched, settings)
     raise TrajectoryError(f"none of {TRIES} {kind} paths is free and shows every insertable object")
 
 
@@ -127,14 +133,30 @@ def _scattered(
     return tuple(chosen)
 
 
-def _focused(
-    rng: np.random.Generator, cameras: tuple[Camera, ...], subject: Subject, settings: CameraSettings
+def _moved_in(
+    rng: np.random.Generator, cameras: tuple[Camera, ...], subject: Subject, share: float
 ) -> tuple[Camera, ...]:
-    """Open the lens in the stated share of scenes, focused on one insertable object throughout."""
+    """Let the last cameras of a path move in on one object, where the others still show everything."""
+    body = sorted(subject.watched)[int(rng.integers(len(subject.watched)))]
+    points = subject.watched[body]
+
+    def is_good(camera: Camera) -> bool:
+        if not _is_free(camera, subject) or not in_frame(camera, points):
+            return False
+        return subject.rays.visible_share(camera.pose()[:3, 3], body, points) >= CLEAR
+
+    moved = move_in(rng, cameras, points, closer_views(rng, len(cameras), share), is_good)
+    return moved if _shows(moved, subject, share) else cameras
+
+
+def focused(
+    rng: np.random.Generator, cameras: tuple[Camera, ...], objects: dict[int, Float64], settings: CameraSettings
+) -> tuple[Camera, ...]:
+    """Open the lens in the stated share of scenes, focused throughout on one of the objects' points (N, 3)."""
     if rng.random() >= settings.depth_of_field:
         return cameras
-    watched = sorted(subject.watched)
-    middle = _middle(subject.watched[watched[int(rng.integers(len(watched)))]])
+    watched = sorted(objects)
+    middle = _middle(objects[watched[int(rng.integers(len(watched)))]])
     f_number = float(np.exp(rng.uniform(*np.log(settings.f_number))))
     depths = [float(project(camera, middle[None])[1][0]) for camera in cameras]
     # An object behind the camera cannot be in focus: such a view looks into the distance.

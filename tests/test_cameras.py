@@ -217,16 +217,19 @@ def test_every_insertable_is_seen_in_the_stated_share_of_views(still_lifes, libr
 
 def test_lenses_stay_in_range_and_objects_keep_their_size(still_lifes, library):
     _, scenes = still_lifes
-    sizes = []
+    sizes, near = [], []
     for scene in scenes:
         points = np.concatenate([body_triangles(b, library)[0] for b in scene.bodies if b.role == "object"])
-        for camera in scene.cameras:
+        for number, camera in enumerate(scene.cameras):
             assert 23.9 <= focal_length_mm(camera) <= 85.1
             pixels, depth = project(camera, points)
-            sizes += [np.ptp(pixels, axis=0).max() / 64] if (depth > 0).all() else []
+            # The last two may have moved in on one object.
+            found = near if number >= len(scene.cameras) - 2 else sizes
+            found += [np.ptp(pixels, axis=0).max() / 64] if (depth > 0).all() else []
     assert min(sizes) > 0.15
     assert np.median(sizes) > 0.45
     assert max(sizes) < 2.0
+    assert max(near, default=0.0) < 12.0
 
 
 def test_kinds_move_as_their_name_says(still_lifes, library):

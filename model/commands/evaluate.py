@@ -23,6 +23,8 @@ class Evaluate:
     """Folder to write index.html, table.md and evaluation.json to."""
     weights: tuple[Path, ...] = ()
     """Weights of the models to compare (default: the ready-made ones)."""
+    weights_3d: Path | None = None
+    """Weights of the 3D stage, to be compared on top of the last of `weights`."""
     splits: tuple[Split, ...] = ("test", "test_ood")
     """Splits to evaluate on; each is a subset of the tables."""
     groups: int = 32
@@ -47,6 +49,7 @@ class Evaluate:
         from datagen.report import progress
         from model.evaluation import evaluate, methods_of
         from model.evaluation_page import markdown, tables_of, write_evaluation
+        from model.evaluation_scenes import scene_method
         from model.harmonize import DEFAULT_WEIGHTS, network_harmonizer
         from model.lpips import Lpips
 
@@ -55,9 +58,13 @@ class Evaluate:
         models = {path.stem: network_harmonizer(path, self.device) for path in weights}
         if len(models) < len(weights):
             raise UserError(f"weights {', '.join(map(str, weights))}: give the files different names")
+        methods = methods_of(models)
+        if self.weights_3d is not None:
+            stem = weights[-1].stem
+            methods[f"{stem} + 3D"] = scene_method(weights[-1], self.weights_3d, self.device)
         lpips = Lpips.load(self.lpips) if self.lpips else None
         with progress("objects") as report:
-            found = evaluate(groups, methods_of(models), lpips=lpips, report=report)
+            found = evaluate(groups, methods, lpips=lpips, report=report)
         about = self._about(weights, len(found.frames))
         write_evaluation(found, about, self.out)
         print(markdown(tables_of(found), about))

@@ -8,13 +8,15 @@ import tyro
 
 @dataclass
 class Train:
-    """Train the 2D stage as a TOML file says; the same command goes on where it was stopped.
+    """Train as a TOML file says: the 2D stage, or the 3D stage where it names `weights_2d`.
+
+    The same command goes on where it was stopped.
 
     On several GPUs: torchrun --nproc-per-node N -m multilight train CONFIG
     """
 
     config: tyro.conf.Positional[Path]
-    """TOML file; its keys are those of `model.config.TrainingConfig`."""
+    """TOML file; its keys are those of `model.config.TrainingConfig`, or `model.config3d.SceneTrainingConfig`."""
     out: Path | None = None
     """Folder of checkpoints, logs and weights (over the file's `out`)."""
     data: str | None = None
@@ -26,9 +28,17 @@ class Train:
 
     def run(self) -> int:
         """Train and return the exit code."""
-        from model.config import load_training_config
-        from model.training import train
+        from model.config import TrainingConfig, read_values, validated
+        from model.config3d import SceneTrainingConfig
 
         given = {"out": self.out, "data.train": self.data, "minutes": self.minutes}
-        train(load_training_config(self.config, given), fresh=self.fresh)
+        values = read_values(self.config, given)
+        if "weights_2d" in values:
+            from model.training3d import train_scenes
+
+            train_scenes(validated(values, SceneTrainingConfig, str(self.config)), fresh=self.fresh)
+        else:
+            from model.training import train
+
+            train(validated(values, TrainingConfig, str(self.config)), fresh=self.fresh)
         return 0

@@ -11,11 +11,25 @@ import numpy as np
 from PIL import Image
 
 from scenes import backdrop, gobos, grounds, patterns, primitives, screens, textures
-from scenes.assets import derived, fittings, garden, lamps, luminaires, receivers, signs, sky, tables, tableware, toys
+from scenes.assets import (
+    derived,
+    fittings,
+    furnishings,
+    garden,
+    lamps,
+    luminaires,
+    parts,
+    receivers,
+    signs,
+    sky,
+    tables,
+    tableware,
+    toys,
+)
 from scenes.assets.cache import sources_key, write_json, write_once
 from scenes.assets.environments import bpy_environment_path, bpy_environments
 from scenes.assets.info import AssetError, AssetInfo, AssetRole
-from scenes.assets.tableware import Part, Rng, to_mesh
+from scenes.assets.parts import Part, Rng, to_mesh
 from scenes.meshes import Mesh
 
 Recipe = Callable[[Rng], list[Part]]
@@ -77,7 +91,7 @@ SURROUNDINGS: dict[str, tuple[Recipe, int]] = {
     "sweep-roll": (backdrop.paper_roll, 1),
     "sweep-table": (backdrop.table_sweep, 2),
     "tray": (receivers.tray, 3),
-    **fittings.FITTINGS,
+    **furnishings.FITTINGS,
     **luminaires.LUMINAIRES,
 }
 LAMPS = {
@@ -160,7 +174,8 @@ class BuiltinPack:
 
     def __init__(self, cache: Path) -> None:
         self._cache = cache
-        modules = (primitives, tableware, toys, tables, lamps, signs, garden, receivers, fittings, luminaires, backdrop)
+        made_of = (primitives, parts, fittings, backdrop)
+        modules = (*made_of, tableware, toys, tables, lamps, signs, garden, receivers, furnishings, luminaires)
         self._model_key = sources_key(*(str(module.__file__) for module in modules), __file__)
         self._texture_key = sources_key(
             textures.__file__, patterns.__file__, grounds.__file__, screens.__file__, derived.__file__

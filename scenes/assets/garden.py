@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from scenes.assets.tableware import PAINTS, Part, Rng, paint, patterned, pick, vessel
+from scenes.assets.parts import PAINTS, Part, Rng, paint, patterned, pick
+from scenes.assets.tableware import vessel
 from scenes.primitives import Surface, lathe, merge, rotation, rounded, rounded_box, sphere, tube
 from scenes.spec import Material, Rgb
 

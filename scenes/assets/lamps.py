@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from scenes.assets.tableware import CLEAR_TINTS, METALS, Part, Rng, ceramic, metal, patterned, pick, vessel
+from scenes.assets.parts import CLEAR_TINTS, METALS, Part, Rng, ceramic, metal, patterned, pick
+from scenes.assets.tableware import vessel
 from scenes.primitives import lathe, merge, prism, rotation, rounded, rounded_box, sphere, tube
 from scenes.spec import Material, Rgb
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from scenes.assets.tableware import METALS, Part, Rng, pick, tiled
+from scenes.assets.parts import METALS, Part, Rng, pick, tiled
 from scenes.primitives import Surface, lathe, merge, rounded, sphere, tube
 from scenes.spec import Material, Rgb
 
@@ -39,6 +39,14 @@ def _cloth(rng: Rng) -> Material:
     """Draw the outside of a shade."""
     texture = tiled("weave-linen-natural", 0.12) if rng.random() < 0.5 else None
     return Material(name="shade", base_color=pick(rng, _SHADES), base_color_texture=texture, roughness=0.85)
+
+
+def _shaded(rng: Rng, shade: tuple[Surface, Surface], bulb: Surface) -> list[Part]:
+    """Put a drum shade round a bulb: thin cloth that glows with it, or dense cloth that lets light out up and down."""
+    outside, inside = shade
+    if rng.random() < 0.5:
+        return [(merge([outside, inside, bulb]), GLASS)]
+    return [(outside, _cloth(rng)), (inside, _INSIDE), (bulb, GLASS)]
 
 
 def _dome(radius: float, height: float) -> tuple[Surface, Surface]:
@@ -107,8 +115,8 @@ def floor_lamp(rng: Rng) -> list[Part]:
         ring = [
             tube([(0, 0, z), (0.07 * c, 0.07 * s, z), (0.16 * c, 0.16 * s, z)], 0.002, segments=6) for c, s in spokes
         ]
-        shades: list[Part] = [(outside.moved((0, 0, lift)), _cloth(rng)), (inside.moved((0, 0, lift)), _INSIDE)]
-        return [(merge([base, stem, *ring]), metal), *shades, (bulb, GLASS)]
+        shade = (outside.moved((0, 0, lift)), inside.moved((0, 0, lift)))
+        return [(merge([base, stem, *ring]), metal), *_shaded(rng, shade, bulb)]
     radius = float(rng.uniform(0.1, 0.16))
     stem = tube([(0, 0, 0.02), (0, 0, height / 2), (0, 0, height - 2 * radius)], 0.011, segments=12)
     return [(merge([base, stem]), metal), (sphere(radius).moved((0, 0, height - 2 * radius - 0.004)), GLASS)]
@@ -137,9 +145,9 @@ def table_lamp(rng: Rng) -> list[Part]:
         tube([(0, 0, lift + 0.045), (0.04 * s, 0, lift + 0.045), (0.105 * s, 0, lift + 0.045)], 0.002, segments=6)
         for s in (-1, 1)
     ]
-    parts: list[Part] = [(body, glaze), (merge(wire), _metal(rng))]
-    parts += [(outside.moved((0, 0, lift)), _cloth(rng)), (inside.moved((0, 0, lift)), _INSIDE)]
-    return [*parts, (_bulb(0.026).moved((0, 0, foot + 0.03)), GLASS)]
+    shade = (outside.moved((0, 0, lift)), inside.moved((0, 0, lift)))
+    bulb = _bulb(0.026).moved((0, 0, foot + 0.03))
+    return [(body, glaze), (merge(wire), _metal(rng)), *_shaded(rng, shade, bulb)]
 
 
 LUMINAIRES = {

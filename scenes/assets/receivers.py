@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from scenes.assets.tableware import Part, Rng, metal, paint, patterned
+from scenes.assets.parts import Part, Rng, metal, paint, patterned
 from scenes.primitives import lathe, merge, prism, rotation, rounded, rounded_box
 from scenes.spec import Material
 
@@ -61,7 +61,10 @@ def standing_mirror(rng: Rng) -> list[Part]:
     strut = rounded_box((0.04, 0.012, 0.72 * h), 0.002).moved(rotation=rotation("x", 0.38)).moved((0, 0.40 * h, 0))
     timber = patterned("frame", "wood-walnut", 0.4, 0.5)
     finish = (timber, metal(rng), paint(rng, "frame"))[int(rng.integers(3))]
+    leaning = merge([part.moved(rotation=turn) for part in (*sides, back)])
+    # Leaning, frame and strut each stand on an edge: both on the ground.
+    lift, strut_lift = (-float(part.vertices[:, 2].min()) for part in (leaning, strut))
     return [
-        (glass.moved((0, 0, 0.002), turn), MIRROR),
-        (merge([part.moved((0, 0, 0.002), turn) for part in (*sides, back)] + [strut]), finish),
+        (glass.moved((0, 0, lift), turn), MIRROR),
+        (merge([leaning.moved((0, 0, lift)), strut.moved((0, 0, strut_lift))]), finish),
     ]

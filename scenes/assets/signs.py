@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 
 from scenes.assets.lamps import GLOW
-from scenes.assets.tableware import Part, Rng, metal, pick
+from scenes.assets.parts import Part, Rng, metal, pick
 from scenes.primitives import Array, Surface, from_grid, merge, rotation, rounded, rounded_box, tube
 from scenes.spec import Material, Rgb
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from scenes.assets.tableware import Part, Rng, metal, paint, patterned
+from scenes.assets.parts import Part, Rng, metal, paint, patterned
 from scenes.primitives import Surface, lathe, merge, rotation, rounded, rounded_box, tube
 from scenes.spec import Material
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from scenes.assets.tableware import PAINTS, Part, Rng, ceramic, metal, paint, patterned, pick, tiled
+from scenes.assets.parts import PAINTS, Part, Rng, ceramic, metal, paint, patterned, pick, tiled
 from scenes.primitives import lathe, merge, prism, rotation, rounded, rounded_box, torus
 from scenes.spec import Material
 

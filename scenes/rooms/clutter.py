@@ -23,11 +23,11 @@ TRIES = 24
 MOST = 36
 """Objects that lie about a room at most, besides books and those inserted."""
 EMISSIVE_SHARE = 1 / 3
-REACH = 1.5
+REACH = 1.1
 """Distance [m] within which the inserted objects lie from each other."""
-INSERTED = (0.12, 0.5)
+INSERTED = (0.15, 0.5)
 """Longest side [m] of objects inserted on furniture."""
-FLOOR_INSERTED = (0.2, 0.95)
+FLOOR_INSERTED = (0.24, 0.95)
 """Longest side [m] of objects inserted on the floor."""
 THIN = 0.05
 _BEARERS = frozenset(
@@ -48,6 +48,7 @@ _HABITS: dict[RoomType, tuple[str, ...]] = {
     "bedroom": ("cosmetics", "jewellery", "watch", "glasses", "hat", "bag", "ball", "toy", "ring"),
     "study": ("stationery", "electronics", "paper", "glasses", "camera", "mug", "watch", "pawn", "tool", "die"),
 }  # fmt: skip
+_GLOWING = ("lamp", "candle", "lantern", "night light", "monitor", "electronics", "tablet", "sign", "neon", "bulb")
 _ON_FLOOR = frozenset(
     {
         "ball", "bag", "shoe", "box", "plant", "toy", "vase", "floor_plant", "bin", "basket", "suitcase", "speaker",
@@ -194,7 +195,7 @@ def insert(rng: np.random.Generator, objects: Objects, kind: RoomType, count: in
         if i.size is not None and sorted(i.size)[1] >= THIN
     ]
     large = _infos(plan, _ON_FLOOR, FLOOR_INSERTED)
-    lamps = [info for info in small if info.category == "lamp" and info.emissive_part]
+    lamps = [i for i in _infos(plan, _GLOWING, INSERTED) if i.emissive_part]
     names: list[str] = []
     for attempt in range(60 * count):
         if len(names) == count:

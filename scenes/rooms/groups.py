@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from scenes.assets.fittings import CURTAIN_HEIGHT, SILL
 from scenes.assets.fittings import LINING as _LINING
+from scenes.assets.fittings import SILL
+from scenes.assets.furnishings import CURTAIN_HEIGHT
 from scenes.rooms.finish import furniture_materials
 from scenes.rooms.plan import HUNG, Placed, Plan, pose_at
 from scenes.rooms.shell import Wall

@@ -9,8 +9,9 @@ from pydantic import Field, PositiveInt, model_validator
 from scenes.assets.library import AssetLibrary
 from scenes.cameras import matrix4
 from scenes.frozen import Frozen, UnitFloat
+from scenes.paths import CameraSettings, TrajectoryShares, choose_trajectory
 from scenes.placement import PlacementError
-from scenes.rays import SceneRays, surface_points
+from scenes.rays import SceneRays, extreme_points, surface_points
 from scenes.rooms.clutter import EMISSIVE_SHARE, Objects, insert, litter
 from scenes.rooms.finish import sample_palette
 from scenes.rooms.groups import place_openings
@@ -55,11 +56,13 @@ class RoomSettings(Frozen):
     height: PositiveInt = 256
     """Image height [pixels]."""
     views: PositiveInt = 16
-    """Number of cameras, from distant to close."""
+    """Number of cameras."""
     insertable: Annotated[int, Field(ge=1, le=8)] = 3
     """Objects whose removal is rendered, 1 to 8."""
     rooms: RoomShares = RoomShares()
     """Types of room."""
+    cameras: CameraSettings = CameraSettings(trajectories=TrajectoryShares(orbit=0, handheld=0), lens_mm=(24.0, 50.0))
+    """Trajectories and lenses; unless told, walks from distant to close and single standpoints."""
 
 
 def sample_room(streams: Streams, library: AssetLibrary, *, index: int, settings: RoomSettings) -> SceneSpec:
@@ -75,11 +78,19 @@ def sample_room(streams: Streams, library: AssetLibrary, *, index: int, settings
     kind: RoomType = list(FURNISH)[int(basics.choice(len(weights), p=weights / weights.sum()))]
     glows = bool(basics.random() < EMISSIVE_SHARE)
     turn = float(basics.uniform(0.0, 2 * np.pi))
+    path = choose_trajectory(basics, settings.cameras)
     reason: Exception | None = None
     for attempt in range(ATTEMPTS):
         try:
             plan, names = _furnished(streams, library, kind, attempt, settings.insertable, glows)
-            cameras = _views(streams, library, plan, names, attempt, settings)
+            cameras = sample_views(
+                streams(f"views/{attempt}"),
+                _room(streams(f"probes/{attempt}"), library, plan, names),
+                size=(settings.width, settings.height),
+                views=settings.views,
+                kind=path,
+                settings=settings.cameras,
+            )
         except (PlacementError, TrajectoryError) as error:
             reason = error
             continue
@@ -108,16 +119,15 @@ def _furnished(
     return plan, names
 
 
-def _views(
-    streams: Streams, library: AssetLibrary, plan: Plan, names: list[str], attempt: int, settings: RoomSettings
-) -> tuple[Camera, ...]:
-    """Collect what cameras must show and avoid, and draw them."""
-    probes = streams(f"probes/{attempt}")
+def _room(probes: np.random.Generator, library: AssetLibrary, plan: Plan, names: list[str]) -> Room:
+    """Collect what cameras must show and avoid."""
     watched = {
-        index: surface_points(body, library, probes, 36) for index, body in enumerate(plan.bodies) if body.name in names
+        index: np.concatenate([surface_points(body, library, probes, 48), extreme_points(body, library)])
+        for index, body in enumerate(plan.bodies)
+        if body.name in names
     }
     placed = list(plan.placed.values())
-    room = Room(
+    return Room(
         watched=watched,
         rays=SceneRays(plan.bodies, library),
         low=np.array([p.low for p in placed]),
@@ -125,8 +135,6 @@ def _views(
         half=np.array([plan.shell.width, plan.shell.depth]) / 2,
         height=plan.shell.height,
     )
-    rng = streams(f"views/{attempt}")
-    return sample_views(rng, room, width=settings.width, height=settings.height, views=settings.views)
 
 
 def _turned(index: int, bodies: list[Body], cameras: tuple[Camera, ...], angle: float) -> SceneSpec:

@@ -1,23 +1,23 @@
-"""Cameras in a room: a walk from far to near, or single standpoints, that show what is inserted."""
+"""Cameras in a room that show what is inserted: on a walk, an arc, in a hand, or at single standpoints."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.cameras import camera_from_lens, look_at, pixel_rays
+from scenes.cameras import SENSOR_MM, camera_from_lens, look_at, pixel_rays
+from scenes.closer import CLEAR, closer_views, move_in
+from scenes.paths import DEFAULT_CAMERAS, CameraSettings, TrajectoryKind
 from scenes.rays import SceneRays
 from scenes.spec import Camera
-from scenes.trajectory import SEEN, TrajectoryError, in_frame
+from scenes.trajectory import CLOSER, SEEN, TrajectoryError, focused, in_frame
 
-LENS_MM = (24.0, 50.0)
-"""Focal lengths, full-frame equivalent."""
 HEIGHTS = (0.85, 1.75)
 """Height of cameras over the floor [m]: a seated child's eye to a tall adult's."""
 CLEARANCE = 0.15
 """Smallest distance [m] of a camera to the box of any body, and to walls."""
-VISIBLE_SHARE = 0.7
-"""Share of the views in which each inserted object is whole and visible."""
+LOWEST = 0.3
+"""Least height of cameras that have moved in on an object [m]."""
 STANDPOINTS = 320
 WALKS = 60
 BLOCKED = 0.6
@@ -65,11 +65,19 @@ class Room:
         return np.stack(result, axis=1) * 2.0
 
 
-def sample_views(rng: np.random.Generator, room: Room, *, width: int, height: int, views: int) -> tuple[Camera, ...]:
-    """Draw cameras that stand free and show each inserted object, whole, in `VISIBLE_SHARE` of the views.
+def sample_views(
+    rng: np.random.Generator,
+    room: Room,
+    *,
+    size: tuple[int, int],
+    views: int,
+    kind: TrajectoryKind,
+    settings: CameraSettings = DEFAULT_CAMERAS,
+) -> tuple[Camera, ...]:
+    """Draw cameras that stand free and show each inserted object, whole, in `settings.min_visible_share` of the views.
 
-    Most scenes are a walk along a curve from far to near, the others single standpoints, far ones first. Raises
-    `TrajectoryError` where the furniture hides too much.
+    They approach on a walk, go round what is inserted, stay in one place, or stand anywhere, far places first; where
+    the furniture allows none of the first two, they stand anywhere. Raises `TrajectoryError` where it hides too much.
     """
     low = np.array([*(-room.half), HEIGHTS[0]])
     eyes = rng.uniform(low, [*room.half, HEIGHTS[1]], (STANDPOINTS, 3))
@@ -81,18 +89,40 @@ def sample_views(rng: np.random.Generator, room: Room, *, width: int, height: in
     good = good[distance > 1.0][np.argsort(distance[distance > 1.0])]
     if len(good) < 8:
         raise TrajectoryError(f"only {len(good)} of {len(eyes)} standpoints see every inserted object")
-    walks = rng.random() < 0.75
     for attempt in range(WALKS):
-        if walks and attempt < WALKS * 2 // 3:
-            path = _walk(rng, good, views)
-        else:
-            path = good[np.sort(rng.integers(len(good), size=views))[::-1]]
-        if not room.is_free(path).all():
+        path = _path(rng, room, good, views, kind if attempt < WALKS * 2 // 3 else "random")
+        if not room.is_free(path.eyes).all():
             continue
-        cameras = _cameras(rng, room, path, (width, height))
-        if _shows(room, cameras):
-            return cameras
-    raise TrajectoryError(f"none of {WALKS} walks shows every inserted object")
+        cameras = _cameras(rng, room, path, size, settings)
+        if _shows(room, cameras, settings.min_visible_share):
+            if kind in CLOSER:
+                cameras = _moved_in(rng, room, cameras, settings.min_visible_share)
+            return focused(rng, cameras, room.watched, settings)
+    raise TrajectoryError(f"none of {WALKS} {kind} paths shows every inserted object")
+
+
+@dataclass(frozen=True)
+class _Path:
+    """Where cameras stand (views, 3), and for each how tightly it frames what is inserted: 0 not at all, 1 fully."""
+
+    eyes: Float64
+    tightness: Float64
+
+
+def _path(rng: np.random.Generator, room: Room, good: Float64, views: int, kind: TrajectoryKind) -> _Path:
+    """Draw a path of a kind over the good standpoints, which are sorted from near to far."""
+    match kind:
+        case "approach":
+            eyes = _walk(rng, good, views)
+        case "orbit":
+            return _Path(_arc(rng, room, good, views), np.full(views, rng.uniform(0.4, 1.0)))
+        case "handheld":
+            spot = good[int(rng.integers(max(1, len(good) * 2 // 3)))]
+            return _Path(spot + 0.04 * _wobble(rng, views), np.full(views, rng.uniform(0.5, 1.0)))
+        case "random":
+            eyes = good[np.sort(rng.integers(len(good), size=views))[::-1]]
+    reach = np.linalg.norm(eyes - room.focus, axis=1)
+    return _Path(eyes, np.clip((reach.max() - reach) / max(np.ptp(reach), 0.3), 0.0, 1.0))
 
 
 def _walk(rng: np.random.Generator, good: Float64, views: int) -> Float64:
@@ -105,40 +135,78 @@ def _walk(rng: np.random.Generator, good: Float64, views: int) -> Float64:
     return np.asarray(curve + rng.normal(0.0, 0.01, curve.shape))
 
 
-def _cameras(rng: np.random.Generator, room: Room, path: Float64, size: tuple[int, int]) -> tuple[Camera, ...]:
-    """Point cameras at what is inserted: wide when far, so that the room shows, tighter when near."""
+def _arc(rng: np.random.Generator, room: Room, good: Float64, views: int) -> Float64:
+    """Draw an arc (views, 3) round what is inserted, through one of the standpoints, 25 to 110 degrees long."""
+    through = good[int(rng.integers(len(good)))] - room.focus
+    sweep = np.radians(rng.uniform(25.0, 110.0)) * rng.choice([-1.0, 1.0])
+    angle = np.arctan2(through[1], through[0]) + sweep * (np.linspace(0.0, 1.0, views) - rng.random())
+    reach = np.hypot(through[0], through[1])
+    height = through[2] + 0.08 * np.sin(np.linspace(0.0, np.pi, views) + rng.uniform(0.0, 2 * np.pi))
+    return np.asarray(room.focus + np.stack([reach * np.cos(angle), reach * np.sin(angle), height], axis=-1))
+
+
+def _wobble(rng: np.random.Generator, views: int) -> Float64:
+    """Return the slow unrest of a hand, (views, 3), of about unit size: two sine waves an axis."""
+    t = np.linspace(0.0, 1.0, views)[:, None]
+    waves = [np.sin(2 * np.pi * (rng.uniform(*c, 3) * t + rng.random(3))) for c in ((0.3, 0.9), (0.9, 2.2))]
+    return np.asarray(waves[0] + 0.5 * waves[1])
+
+
+def _cameras(
+    rng: np.random.Generator, room: Room, path: _Path, size: tuple[int, int], settings: CameraSettings
+) -> tuple[Camera, ...]:
+    """Point cameras at what is inserted: wide where a path is loose, so that the room shows, else tighter."""
     points = np.concatenate(list(room.watched.values()))
-    wide = rng.uniform(24.0, 32.0)
-    full = rng.uniform(0.62, 0.85)
-    reach = np.linalg.norm(path - room.focus, axis=1)
+    shortest, longest = settings.lens_mm
+    wide = float(rng.uniform(shortest, min(1.33 * shortest, longest)))
+    full = rng.uniform(0.7, 0.9)
+    unrest = 0.02 * (
+        rng.normal(0.0, 1.0, (len(path.eyes), 3)) if np.ptp(path.tightness) else _wobble(rng, len(path.eyes))
+    )
     cameras = []
-    for eye, distance in zip(path, reach, strict=True):
-        nearness = float(np.clip((reach.max() - distance) / max(np.ptp(reach), 0.3), 0.0, 1.0))
+    for eye, tight, shift in zip(path.eyes, path.tightness, unrest, strict=True):
         towards = room.focus * [0.75, 0.75, 0.7] + [0.0, 0.0, 0.36]
-        aim = (1 - nearness) * towards + nearness * room.focus + rng.normal(0.0, 0.02, 3) * distance
+        aim = (1 - tight) * towards + tight * room.focus + shift * np.linalg.norm(room.focus - eye)
         way = (aim - eye) / np.linalg.norm(aim - eye)
         spread = points - eye
         cosine = spread @ way / np.linalg.norm(spread, axis=1)
         angle = min(float(np.arccos(np.clip(cosine, -1.0, 1.0)).max()), 1.3)
-        tight = 18.0 * full / np.tan(angle) * min(size) / max(size)
-        focal = float(np.clip(np.exp((1 - nearness) * np.log(wide) + nearness * np.log(tight)), *LENS_MM))
-        focal = max(LENS_MM[0], min(focal, tight / full * 0.93))
+        filling = 0.5 * SENSOR_MM * full / np.tan(angle) * min(size) / max(size)
+        focal = float(np.exp((1 - tight) * np.log(wide) + tight * np.log(filling)))
+        focal = float(np.clip(min(focal, filling / full * 0.93), shortest, longest))
         up = (0.01 * rng.normal(), 0.01 * rng.normal(), 1.0)
         cameras.append(camera_from_lens(look_at(eye, aim, up=up), width=size[0], height=size[1], focal_length_mm=focal))
     return tuple(cameras)
 
 
-def _shows(room: Room, cameras: tuple[Camera, ...]) -> bool:
-    """Tell whether each object is whole and visible in enough views, and no picture is blocked."""
+def _moved_in(rng: np.random.Generator, room: Room, cameras: tuple[Camera, ...], share: float) -> tuple[Camera, ...]:
+    """Let the last cameras of a path move in on one object, where the others still show everything."""
+    body = sorted(room.watched)[int(rng.integers(len(room.watched)))]
+    points = room.watched[body]
+
+    def is_good(camera: Camera) -> bool:
+        eye = camera.pose()[None, :3, 3]
+        if eye[0, 2] < LOWEST or not room.is_free(eye)[0] or not in_frame(camera, points):
+            return False
+        seen = room.rays.visible_share(eye[0], body, points) >= CLEAR
+        near = 0.5 * float(np.linalg.norm(eye[0] - points, axis=1).min())
+        return bool(seen and not _blocked(room, camera, within=near))
+
+    moved = move_in(rng, cameras, points, closer_views(rng, len(cameras), share), is_good)
+    return moved if _shows(room, moved, share) else cameras
+
+
+def _shows(room: Room, cameras: tuple[Camera, ...], share: float) -> bool:
+    """Tell whether each object is whole and visible in that share of the views, and no picture is blocked."""
     seen = room.shares(np.array([camera.pose()[:3, 3] for camera in cameras])) >= SEEN
     framed = np.array([[in_frame(camera, points) for points in room.watched.values()] for camera in cameras])
-    if ((seen & framed).mean(axis=0) < VISIBLE_SHARE).any():
+    if ((seen & framed).mean(axis=0) < share).any():
         return False
     return not any(_blocked(room, camera) for camera in cameras)
 
 
-def _blocked(room: Room, camera: Camera) -> bool:
-    """Tell whether something close fills too much of a picture."""
+def _blocked(room: Room, camera: Camera, *, within: float = BLOCKED) -> bool:
+    """Tell whether something closer than `within` [m] fills too much of a picture."""
     small = camera.model_copy(
         update={
             "width": 12, "height": 12, "fx": camera.fx * 12 / camera.width, "fy": camera.fy * 12 / camera.height,
@@ -147,4 +215,4 @@ def _blocked(room: Room, camera: Camera) -> bool:
     )  # fmt: skip
     origins, directions = pixel_rays(small)
     _, distance = room.rays.first_hit(origins.reshape(-1, 3), directions.reshape(-1, 3))
-    return bool((distance < BLOCKED).mean() > BLOCKED_SHARE)
+    return bool((distance < within).mean() > BLOCKED_SHARE)

@@ -1,0 +1,74 @@
+"""The object to insert: a model file of the user's, or one of the asset library, as triangles with their colour."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from PIL import Image
+
+from datagen.errors import UserError
+from lights.tonemap import srgb_decode
+from scenes.assets.cleaning import Z_UP_FROM_Y_UP, clean_mesh, transformed
+from scenes.assets.folder import SUFFIXES
+from scenes.assets.gltf import raw_part
+from scenes.assets.library import AssetLibrary
+from scenes.meshes import Mesh
+from scenes.spec import Texture
+
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Asset:
+    """A mesh that stands on z = 0, centred in x and y, Z-up, in metres, and its textures (h, w, 3), linear, by id."""
+
+    mesh: Mesh
+    textures: dict[str, Float32]
+
+    @property
+    def size(self) -> Float64:
+        """Return width, depth and height (3,) in metres."""
+        low, high = self.mesh.bounds().astype(np.float64)
+        return np.asarray(high - low)
+
+
+def load_asset(name: str) -> Asset:
+    """Load a GLB, glTF (Y-up) or OBJ (Y-up) file, or an asset of the library by its id `pack/name`.
+
+    Raises `UserError` naming the file and what is wrong with it, `AssetError` for one of the library.
+    """
+    path = Path(name)
+    if path.suffix.lower() in SUFFIXES:
+        return _from_file(path)
+    if path.exists():
+        raise UserError(f"asset {path} is not one of {', '.join(SUFFIXES)}")
+    library = AssetLibrary()
+    mesh = library.mesh(name)
+    images = {texture.image for part in mesh.parts if (texture := part.material.base_color_texture) is not None}
+    return Asset(mesh, {image: _linear(Image.open(library.texture_path(image))) for image in images})
+
+
+def _from_file(path: Path) -> Asset:
+    if not path.is_file():
+        raise UserError(f"asset {path} does not exist")
+    textures: dict[str, Float32] = {}
+
+    def keep(image: Image.Image) -> Texture:
+        key = f"texture/{len(textures)}"
+        textures[key] = _linear(image)
+        return Texture(image=key)
+
+    try:
+        pieces = trimesh.load_scene(path, process=False).dump()
+        parts = [raw_part(piece, keep) for piece in pieces if isinstance(piece, trimesh.Trimesh)]
+        mesh = clean_mesh(transformed(parts, Z_UP_FROM_Y_UP))
+    except Exception as error:  # trimesh raises whatever a broken file makes it stumble over
+        raise UserError(f"asset {path} cannot be read: {type(error).__name__}: {error}") from None
+    return Asset(mesh, textures)
+
+
+def _linear(image: Image.Image) -> Float32:
+    return srgb_decode(np.asarray(image.convert("RGB"), np.float32) / 255.0).astype(np.float32)

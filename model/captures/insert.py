@@ -1,0 +1,150 @@
+"""Put an object into a capture and harmonize all views alike."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from pydantic import ValidationError
+from safetensors.torch import load_file
+from torch import Tensor
+
+from datagen.errors import UserError
+from model.captures.capture import Capture
+from model.captures.objects import ObjectView, PlacedObject
+from model.captures.planes import scene_centre
+from model.captures.trust import repaired, trust
+from model.checkpoint import weights_header
+from model.compositing2d import Compositing2D
+from model.compositing3d import Compositing3D, harmonize_scene
+from model.config import NetworkConfig
+from model.config3d import SLIM3D
+from model.depth import depth_from_metres
+from model.harmonize import harmonize
+from model.splat import SplatScene, splat_scene
+from scenes.gaussians import Gaussians
+
+Float32 = NDArray[np.float32]
+Report = Callable[[int, int], None]
+
+LEAST_SEEN = 16
+"""Pixels of the object, over all views, from which on it is worth harmonizing."""
+UNTOUCHED, TOUCHED = 0.5 / 255.0, 2.0 / 255.0
+"""Change by the 2D stage, in any view, up to which the capture's own pixels stay, and from which on none do."""
+
+
+@dataclass(frozen=True)
+class Inserted:
+    """A capture with an object in it: V views (V, H, W, 3) display-encoded, coverage and z_depths (V, H, W)."""
+
+    composites: Float32
+    coverage: Float32
+    z_depths: Float32
+
+
+@dataclass(frozen=True)
+class Harmonized:
+    """The result: views of the 2D and of the 3D stage (V, H, W, 3), display-encoded, and the scene's Gaussians."""
+
+    single: Float32
+    views: Float32
+    gaussians: Gaussians
+
+
+def insert_object(capture: Capture, placed: PlacedObject) -> Inserted:
+    """Lay the object over every view, hidden where the capture's depth says so.
+
+    Raises `UserError` where it is out of every picture, or hidden in all of them.
+    """
+    assert capture.z_depths is not None
+    views = [placed.seen(camera, depth) for camera, depth in zip(capture.cameras, capture.z_depths, strict=True)]
+    coverage = np.stack([view.coverage for view in views])
+    if coverage.sum() < LEAST_SEEN:
+        raise UserError(_unseen(capture, placed, views))
+    depths = [np.where(v.coverage > 0.5, v.z_depth, d) for v, d in zip(views, capture.z_depths, strict=True)]
+    composites = [view.over(image) for view, image in zip(views, capture.images, strict=True)]
+    return Inserted(np.stack(composites), coverage, np.stack(depths).astype(np.float32))
+
+
+def harmonize_capture(
+    capture: Capture,
+    inserted: Inserted,
+    network: Compositing2D,
+    network3d: Compositing3D | None = None,
+    *,
+    side: int,
+    report: Report,
+) -> Harmonized:
+    """Harmonize view by view, then all together on side * side Gaussians.
+
+    Without a network of the 3D stage, what the views say of a Gaussian is averaged: that is consistent as well.
+    Where no view was changed, the capture's own pixels stay. `report` is told (views done, views).
+    """
+    single = []
+    for number, (composite, background) in enumerate(zip(inserted.composites, capture.images, strict=True)):
+        mask = inserted.coverage[number]
+        seen = mask.max() > 0
+        depth = depth_from_metres(inserted.z_depths[number])
+        single.append(harmonize(network, composite, background, depth, mask=mask) if seen else composite)
+        report(number + 1, len(capture.images))
+    device = next(network.parameters()).device
+    try:
+        scene = splat_scene(capture.cameras, inserted.z_depths, side=side).to(device)
+    except ValueError as error:
+        raise UserError(f"{capture.path}: {error}; --side must be a power of two, and the views need depth") from None
+    stage3d = network3d or Compositing3D(SLIM3D).eval()
+    harmonized, composites = _tensor(np.stack(single), device), _tensor(inserted.composites, device)
+    with torch.inference_mode():
+        colors, views = harmonize_scene(stage3d.to(device), scene, composites, harmonized)
+        share = _touched(scene, harmonized, _tensor(capture.images, device))
+        views = torch.lerp(harmonized, views, share)
+    found = scene.gaussians.gaussians
+    believed = trust(scene, capture.cameras, inserted.z_depths)
+    consistent = views.permute(0, 2, 3, 1).cpu().numpy()
+    return Harmonized(
+        single=np.stack(single),
+        views=repaired(np.stack(single), consistent, believed, inserted.coverage),
+        gaussians=replace(found, colors=colors.cpu().numpy().astype(np.float32)),
+    )
+
+
+def load_stage3d(path: Path | None) -> Compositing3D | None:
+    """Read finished weights of the 3D stage, if any; raises `UserError` naming the file and what is wrong with it."""
+    if path is None:
+        return None
+    if not path.is_file():
+        raise UserError(f"weights {path} do not exist")
+    try:
+        network = Compositing3D(NetworkConfig.from_json(weights_header(path)["network"]))
+        network.load_state_dict(load_file(path))
+    except (OSError, ValueError, KeyError, ValidationError, RuntimeError) as error:
+        raise UserError(f"weights {path} are not those of a 3D stage: {str(error).splitlines()[0]}") from None
+    return network.eval()
+
+
+def _touched(scene: SplatScene, harmonized: Tensor, background: Tensor) -> Tensor:
+    """Return how much of each pixel shows what any view's 2D stage changed, (V, 1, H, W) in [0, 1]."""
+    change = (harmonized - background).abs().amax(dim=1, keepdim=True)
+    changed = ((change - UNTOUCHED) / (TOUCHED - UNTOUCHED)).clamp(0.0, 1.0)
+    shown = scene.render((4.0 * scene.carry(changed)).clamp(max=1.0))
+    return torch.maximum(shown, changed).clamp(0.0, 1.0)
+
+
+def _unseen(capture: Capture, placed: PlacedObject, views: list[ObjectView]) -> str:
+    place, centre = placed.pose[:3, 3].round(3).tolist(), scene_centre(capture).round(3).tolist()
+    outlined = sum(view.outlined for view in views)
+    if outlined < LEAST_SEEN:
+        return (
+            f"the object at {place} is out of all {len(views)} pictures, or too small in them: the cameras of "
+            f"{capture.path} look at about {centre}; mend --pose, or --scale"
+        )
+    return (
+        f"the object at {place} would be seen in {sum(v.outlined > 0 for v in views)} pictures, but the scene's depth "
+        f"hides it in all: is it inside or behind something? The cameras of {capture.path} look at about {centre}"
+    )
+
+
+def _tensor(images: Float32, device: torch.device) -> Tensor:
+    return torch.from_numpy(images).permute(0, 3, 1, 2).to(device)

@@ -1,0 +1,100 @@
+"""Where the object goes: a pose from a file, or a place on a plane of the capture."""
+
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from datagen.errors import UserError
+from model.captures.assets import Asset
+from model.captures.capture import Capture
+from model.captures.planes import find_plane, free_place, scene_centre, scene_up
+
+Float64 = NDArray[np.float64]
+
+SHARES = (0.2, 0.15, 0.11, 0.08, 0.06)
+"""Share of the pictures' width that the object takes at the scene's centre, unless its scale is given: the first that
+there is room for."""
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What is asked for: a pose file, or the plane; yaw in degrees; units of the capture's length per metre."""
+
+    pose: Path | None = None
+    yaw: float = 0.0
+    scale: float | None = None
+    seed: int = 0
+
+
+def placed(capture: Capture, asset: Asset, wish: Wish) -> Float64:
+    """Return `world_from_asset`, 4x4: rotation times uniform scale, and translation.
+
+    Raises `UserError` for a pose file that cannot be read and where no plane is found.
+    """
+    if wish.scale is not None and not wish.scale > 0:
+        raise UserError(f"--scale {wish.scale} must be above 0")
+    if wish.pose is not None:
+        return _from_file(wish.pose, capture, asset, wish)
+    plane = find_plane(capture, np.random.default_rng(wish.seed))
+    for scale in (wish.scale,) if wish.scale else [fitting_scale(capture, asset, share) for share in SHARES]:
+        radius = 0.5 * float(np.hypot(*asset.size[:2])) * scale
+        place, free = free_place(capture, plane, radius, scale * float(asset.size[2]))
+        if free:
+            break
+    else:
+        print(f"no room on the plane for an object {2 * radius:.3g} wide: it may cut into others", file=sys.stderr)
+    return upright(place, plane.normal, wish.yaw, scale)
+
+
+def fitting_scale(capture: Capture, asset: Asset, share: float = SHARES[0]) -> float:
+    """Return the scale at which the asset takes a share of the pictures' width at the scene's centre."""
+    centre = scene_centre(capture)
+    widths = [np.linalg.norm(c.pose()[:3, 3] - centre) * c.width / c.fx for c in capture.cameras]
+    return share * float(np.median(widths)) / float(asset.size.max())
+
+
+def upright(place: Float64, up: Float64, yaw: float, scale: float) -> Float64:
+    """Return the pose (4x4) of an asset that stands at `place` with its +Z along `up`, turned by `yaw` degrees."""
+    turn, _ = Rotation.align_vectors(up[None], np.array([[0.0, 0.0, 1.0]]))
+    pose = np.eye(4)
+    pose[:3, :3] = scale * (turn * Rotation.from_euler("z", yaw, degrees=True)).as_matrix()
+    pose[:3, 3] = place
+    return pose
+
+
+def _from_file(path: Path, capture: Capture, asset: Asset, wish: Wish) -> Float64:
+    """Read a 4x4 matrix, as JSON or 16 numbers, or JSON with `position` and, if wanted, `yaw`, `scale`, `up`."""
+    try:
+        text = path.read_text()
+        try:
+            content: Any = json.loads(text)
+        except ValueError:
+            content = np.array(text.replace(",", " ").split(), np.float64).reshape(4, 4)
+        if isinstance(content, dict) and "position" in content:
+            up = np.array(content["up"], np.float64) if "up" in content else scene_up(capture)
+            scale = float(content.get("scale", wish.scale or fitting_scale(capture, asset)))
+            position = np.array(content["position"], np.float64).reshape(3)
+            return _sound(path, upright(position, up / np.linalg.norm(up), float(content.get("yaw", wish.yaw)), scale))
+        matrix = content.get("matrix") if isinstance(content, dict) else content
+        return _sound(path, np.array(matrix, np.float64).reshape(4, 4))
+    except OSError as error:
+        raise UserError(f"pose {path} cannot be read: {error.strerror}") from None
+    except (ValueError, TypeError) as error:
+        raise UserError(
+            f"pose {path} must be a 4x4 matrix (16 numbers, or JSON), or JSON with position, yaw, scale: {error}"
+        ) from None
+
+
+def _sound(path: Path, pose: Float64) -> Float64:
+    linear = pose[:3, :3]
+    scale = float(np.cbrt(np.linalg.det(linear)))
+    turned = scale > 0 and np.allclose(linear @ linear.T, scale**2 * np.eye(3), atol=1e-3 * scale**2)
+    if not (np.isfinite(pose).all() and turned and np.allclose(pose[3], [0, 0, 0, 1])):
+        raise UserError(f"pose {path} is not a rotation, a uniform scale and a translation: {pose.tolist()}")
+    return pose

@@ -1,0 +1,32 @@
+"""Find out what a capture is, and read it."""
+
+from pathlib import Path
+
+from datagen.errors import UserError
+from model.captures.capture import Capture
+from model.captures.nerfstudio import read_nerfstudio
+
+
+def read_capture(path: Path, *, max_side: int = 512, every: int = 1) -> Capture:
+    """Read a nerfstudio or COLMAP folder; of one that holds pictures only, find the poses.
+
+    Raises `UserError` naming what is missing.
+    """
+    if every < 1 or max_side < 16:
+        raise UserError(f"--every {every} must be 1 or more, --max-side {max_side} 16 or more")
+    if not path.exists():
+        raise UserError(f"capture {path} does not exist")
+    file = path / "transforms.json" if path.is_dir() else path
+    if file.is_file():
+        if file.suffix != ".json":
+            raise UserError(f"{file} is not a capture; give its folder, or its transforms.json")
+        return read_nerfstudio(file, max_side=max_side, every=every)
+    from model.captures import colmap  # pycolmap is an extra
+
+    model = colmap.colmap_model(path)
+    if model is not None:
+        return colmap.read_colmap(path, model, max_side=max_side, every=every)
+    pictures = path / "images" if (path / "images").is_dir() else path
+    if not any(file.suffix.lower() in colmap.SUFFIXES for file in pictures.iterdir()):
+        raise UserError(f"{path} is no capture: there is neither a transforms.json, nor sparse/0, nor a picture in it")
+    return colmap.capture_from_images(path, max_side=max_side, every=every)

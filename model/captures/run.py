@@ -1,0 +1,87 @@
+"""From the files of a capture to those of the result."""
+
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from datagen.errors import UserError, full_disk_told
+from model.captures.assets import load_asset
+from model.captures.capture import Capture, check_alignment
+from model.captures.depths import with_depth
+from model.captures.insert import Harmonized, Inserted, harmonize_capture, insert_object, load_stage3d
+from model.captures.objects import PlacedObject
+from model.captures.placing import Wish, placed
+from model.captures.planes import scene_up
+from model.captures.read import read_capture
+from model.captures.video import orbit_cameras, render_gaussians, write_video
+from model.checkpoint import load_network
+from model.harmonize import DEFAULT_WEIGHTS, chosen_device
+from model.pictures import write_picture
+from scenes.gaussian_ply import write_gaussians
+
+
+@dataclass(frozen=True)
+class Sources:
+    """What the work is done with: the capture, the object, where depth comes from, the networks' weights."""
+
+    capture: Path
+    asset: str
+    gaussians: Path | None = None
+    depth_model: Path | None = None
+    weights: Path | None = None
+    weights_3d: Path | None = None
+    device: str = "auto"
+
+
+def insert_into_files(
+    sources: Sources, wish: Wish, out: Path, *, max_side: int, every: int, side: int, frames: int
+) -> None:
+    """Insert an object and write composites/, single/, harmonized/, scene.ply, placement.json and orbit.mp4 to `out`.
+
+    Raises `UserError` for whatever the user can mend, before the long work where it can be known.
+    """
+    if frames < 0:
+        raise UserError(f"--frames {frames} must be 0 or more")
+    network = load_network(sources.weights or DEFAULT_WEIGHTS).to(chosen_device(sources.device))
+    stage3d, asset = load_stage3d(sources.weights_3d), load_asset(sources.asset)
+    bare = read_capture(sources.capture, max_side=max_side, every=every)
+    capture = with_depth(bare, sources.gaussians, sources.depth_model)
+    if bare.z_depths is not None or sources.gaussians is not None:
+        check_alignment(capture)
+    pose = placed(capture, asset, wish)
+    inserted = insert_object(capture, PlacedObject(asset, pose))
+    seen = int((inserted.coverage.max(axis=(1, 2)) > 0).sum())
+    _tell(f"{len(capture.names)} views of {capture.images.shape[2]} x {capture.images.shape[1]}, object in {seen}")
+    result = harmonize_capture(
+        capture, inserted, network, stage3d, side=side, report=lambda done, count: _tell(f"view {done}/{count}")
+    )
+    out.mkdir(parents=True, exist_ok=True)
+    with full_disk_told(out):
+        _write(out, capture, inserted, result)
+        placement = {"world_from_asset": pose.tolist(), "asset": sources.asset, "views": list(capture.names)}
+        (out / "placement.json").write_text(json.dumps(placement, indent=1) + "\n")
+        if frames:
+            middle = pose[:3, :3] @ [0.0, 0.0, asset.size[2] / 2] + pose[:3, 3]
+            orbit = orbit_cameras(capture.cameras, np.asarray(middle), scene_up(capture), frames)
+            shown = (render_gaussians(camera, result.gaussians) for camera in orbit)
+            write_video(out / "orbit.mp4", shown, (orbit[0].width, orbit[0].height))
+
+
+def _write(out: Path, capture: Capture, inserted: Inserted, result: Harmonized) -> None:
+    for folder, views in (
+        ("composites", inserted.composites),
+        ("single", result.single),
+        ("harmonized", result.views),
+    ):
+        for name, view in zip(capture.names, views, strict=True):
+            write_picture(out / folder / Path(name).with_suffix(".png"), view)
+    for name, share in zip(capture.names, inserted.coverage, strict=True):
+        write_picture(out / "masks" / Path(name).with_suffix(".png"), np.repeat(share[..., None], 3, axis=-1))
+    write_gaussians(out / "scene.ply", result.gaussians)
+
+
+def _tell(line: str) -> None:
+    print(line, file=sys.stderr)

@@ -1,0 +1,61 @@
+"""Where the Gaussians can be believed: pixels whose surface they show, and what to do about the others.
+
+Discs that stand for many pixels leave a few holes, through which what lies behind shows, and are ragged at outlines.
+There the change that the 3D stage makes is taken from around, on the same side of the object's outline.
+"""
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from lights.tonemap import srgb_decode, srgb_encode
+from model.compositing3d import FLOOR
+from model.splat import SplatScene
+from scenes.spec import Camera
+
+Float32 = NDArray[np.float32]
+
+RIGHT, WRONG = 0.01, 0.03
+"""Relative error of the depth that Gaussians show, up to which a pixel is believed, and from which on it is not."""
+AROUND = 2.0
+"""Standard deviation [pixels] of the neighbourhood that stands in."""
+LEAST = 1e-3
+"""Trust in the neighbourhood below which a pixel stays as the 2D stage left it."""
+
+
+def trust(scene: SplatScene, cameras: tuple[Camera, ...], z_depths: Float32) -> Float32:
+    """Return how far each pixel shows the surface that its depth says, (V, H, W) in [0, 1].
+
+    Gaussians blend to a mean point; its depth along the axis is held against z_depths (V, H, W).
+    """
+    device = scene.matrix.device
+    means = torch.from_numpy(scene.gaussians.gaussians.means).to(device)
+    with torch.inference_mode():
+        shown = scene.render(torch.cat((means, torch.ones_like(means[:, :1])), dim=1)).cpu().numpy()  # (V, 4, H, W)
+    points = shown[:, :3] / np.maximum(shown[:, 3:], 1e-3)
+    found = []
+    for camera, point, z in zip(cameras, points, z_depths, strict=True):
+        pose = camera.pose()
+        seen = -np.einsum("chw,c->hw", point - pose[:3, 3][:, None, None], pose[:3, 2])
+        error = np.abs(seen / np.where(z > 0, z, 1.0) - 1.0)
+        found.append(np.where(z > 0, np.clip((WRONG - error) / (WRONG - RIGHT), 0.0, 1.0), 0.0))
+    return np.stack(found).astype(np.float32)
+
+
+def repaired(single: Float32, views: Float32, trusted: Float32, coverage: Float32) -> Float32:
+    """Return views (V, H, W, 3) whose distrusted pixels change `single` as those around them do; display-encoded."""
+    before = srgb_decode(single) + FLOOR
+    gains = (srgb_decode(views) + FLOOR) / before
+    result = np.array(views)
+    for number, (gain, share, cover) in enumerate(zip(gains, trusted, coverage, strict=True)):
+        filled = np.ones_like(gain)
+        for region in (cover > 0.5, cover <= 0.5):
+            weight = share * region
+            near = gaussian_filter(weight, AROUND)
+            sums = gaussian_filter(gain * weight[..., None], (AROUND, AROUND, 0))
+            there = (region & (near > LEAST))[..., None]
+            filled = np.where(there, sums / np.maximum(near, LEAST)[..., None], filled)
+        mixed = share[..., None] * gain + (1.0 - share[..., None]) * filled
+        result[number] = srgb_encode(before[number] * mixed - FLOOR)
+    return result

@@ -1,0 +1,61 @@
+"""The 3D stage as a method of the evaluation: all views of a group at once."""
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from model.checkpoint import load_network, load_network3d
+from model.compositing2d import Compositing2D
+from model.compositing3d import Compositing3D, harmonize_scene
+from model.evaluation_cases import Case, Group
+from model.harmonize import chosen_device, harmonize
+from model.splat import splat_scene
+
+Float32 = NDArray[np.float32]
+
+SIDE = 256  # cells a side of the map: 65,536 Gaussians
+
+
+class SceneMethod:
+    """Harmonize the views of a group together: the 2D stage on each, then the 3D stage on their Gaussians.
+
+    A single view, or views without cameras, are left to the 2D stage.
+    """
+
+    def __init__(self, stage2d: Compositing2D, stage3d: Compositing3D, side: int = SIDE) -> None:
+        self.stage2d, self.stage3d, self.side = stage2d, stage3d, side
+        self._group: Group | None = None
+        self._done: dict[str, Float32] = {}
+
+    def begin(self, group: Group) -> None:
+        """Say which group the next cases are of."""
+        self._group, self._done = group, {}
+
+    def __call__(self, case: Case) -> Float32:
+        """Return a case's picture, (H, W, 3) in [0, 1]; the first case of a group takes the time of all."""
+        if self._group is None or len(self._group.cameras) < 2:
+            return self._flat(case)
+        if not self._done:
+            self._done = self._together(self._group)
+        return self._done[case.name]
+
+    def _flat(self, case: Case) -> Float32:
+        return harmonize(self.stage2d, case.composite, case.background, case.depth, mask=case.mask)
+
+    @torch.inference_mode()
+    def _together(self, group: Group) -> dict[str, Float32]:
+        device = next(self.stage3d.parameters()).device
+        scene = splat_scene(group.cameras, np.stack(group.z_depth), side=self.side).to(device)
+        stacks = (np.stack([case.composite for case in group.cases]), np.stack([self._flat(c) for c in group.cases]))
+        composites, harmonized = (torch.from_numpy(stack).permute(0, 3, 1, 2).to(device) for stack in stacks)
+        _, views = harmonize_scene(self.stage3d, scene, composites, harmonized)
+        shown = views.clamp(0.0, 1.0).permute(0, 2, 3, 1).cpu().numpy()
+        return {case.name: picture for case, picture in zip(group.cases, shown, strict=True)}
+
+
+def scene_method(weights2d: Path, weights3d: Path, device: str = "auto") -> SceneMethod:
+    """Load both stages; raises `UserError` naming the file that cannot be read."""
+    chosen = chosen_device(device)
+    return SceneMethod(load_network(weights2d).to(chosen), load_network3d(weights3d).to(chosen))
