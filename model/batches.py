@@ -83,6 +83,8 @@ def training_batches(config: TrainingConfig, number: int, first: int, share: Sha
         MultiLightDataset(data.train, settings),
         batch_sampler=_Numbers(number * STAGE_SAMPLES, first, stage.batch, share),
         num_workers=data.workers,
+        # Forked, a loader process waits for ever on whatever lock another thread held.
+        multiprocessing_context="spawn" if data.workers else None,
         pin_memory=torch.cuda.is_available(),
     )
     return _one_line_errors(loader)

@@ -1,6 +1,7 @@
 """Captures of many views: readers, planes, occlusion, poses, Gaussians and video, held against closed forms."""
 
 import json
+import subprocess
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -37,6 +38,7 @@ from model.compositing2d import Compositing2D
 from model.compositing3d import Compositing3D
 from model.config import NetworkConfig
 from model.config3d import SLIM3D
+from model.pictures import read_picture
 from scenes.cameras import camera_from_fov, look_at, matrix4, project, unproject
 from scenes.gaussian_ply import read_gaussians, write_gaussians
 from scenes.gaussians import gaussians_from_views
@@ -288,6 +290,37 @@ def test_depth_is_aligned_to_sparse_points(capture: Capture) -> None:
         aligned_depth(camera, -relative, points)
 
 
+def test_depth_from_a_model(capture: Capture, tmp_path: Path) -> None:
+    """The "model" reads inverse depth off the red channel, in a scale and with a shift of its own."""
+    from onnx import TensorProto, helper, save
+
+    shape = [1, 3, "height", "width"]
+    nodes = [
+        helper.make_node("Gather", ["image", "first"], ["red"], axis=1),
+        helper.make_node("Add", ["red", "shift"], ["depth"]),
+    ]
+    constants = [
+        helper.make_tensor("first", TensorProto.INT64, [], [0]),
+        helper.make_tensor("shift", TensorProto.FLOAT, [], [3.0]),
+    ]
+    put = helper.make_tensor_value_info("image", TensorProto.FLOAT, shape)
+    out = helper.make_tensor_value_info("depth", TensorProto.FLOAT, [1, "height", "width"])
+    graph = helper.make_graph(nodes, "red", [put], [out], constants)
+    save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8), tmp_path / "m.onnx")
+    assert capture.z_depths is not None
+    known = capture.z_depths > 0
+    inverse = np.where(known, 1.0 / np.where(known, capture.z_depths, 1.0), 0.0)
+    painted = np.repeat((inverse / inverse.max()).astype(np.float32)[..., None], 3, axis=-1)
+    found = with_depth(replace(capture, images=painted, z_depths=None), None, tmp_path / "m.onnx").z_depths
+    assert found is not None
+    both = known & (found > 0)
+    assert both.mean() > 0.5
+    assert np.median(np.abs(found[both] / capture.z_depths[both] - 1)) < 0.01
+    bare = replace(capture, z_depths=None, points=capture.points[:5])
+    with pytest.raises(UserError, match=r"depth of 00\.png cannot be aligned: .* 12 are needed"):
+        with_depth(bare, None, tmp_path / "m.onnx")
+
+
 def test_depth_from_gaussians(capture: Capture, tmp_path: Path) -> None:
     assert capture.z_depths is not None
     laid = gaussians_from_views(capture.cameras, capture.z_depths, np.zeros(capture.z_depths.shape, int), [], side=128)
@@ -297,7 +330,10 @@ def test_depth_from_gaussians(capture: Capture, tmp_path: Path) -> None:
     assert found is not None
     both = (found > 0) & (capture.z_depths > 0)
     assert both.sum() > 0.95 * (capture.z_depths > 0).sum()
-    assert np.median(np.abs(found[both] / capture.z_depths[both] - 1)) < 0.005
+    pixel = (
+        1.0 / capture.cameras[0].fx
+    )  # over its distance; nearer discs lie over farther ones, so depth comes out near
+    assert np.median(np.abs(found[both] / capture.z_depths[both] - 1)) < 2.0 * pixel
     away = replace(laid.gaussians, means=laid.gaussians.means + np.float32(100.0))
     write_gaussians(tmp_path / "away.ply", away)
     with pytest.raises(UserError, match="not of one world"):
@@ -362,17 +398,22 @@ def test_orbit_keeps_its_distance_and_stays_where_cameras_were() -> None:
             assert 2 * np.pi - np.ptp(seen) > GAP
 
 
+def decoded(path: Path, size: tuple[int, int]) -> tuple[str, np.ndarray]:
+    """Decode a video: what ffmpeg says of it, and its frames (N, H, W, 3) in [0, 1]."""
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-i", str(path), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    done = subprocess.run(command, capture_output=True, check=True)
+    return done.stderr.decode(), np.frombuffer(done.stdout, np.uint8).reshape(-1, size[1], size[0], 3) / 255.0
+
+
 def test_video_can_be_read_back(tmp_path: Path) -> None:
     colours = np.linspace(0.1, 0.9, 12)[:, None] * [1.0, 0.5, 0.2]
     frames = (np.broadcast_to(colour, (48, 64, 3)).astype(np.float32) for colour in colours)
     write_video(tmp_path / "v.mp4", frames, (64, 48))
-    reader = imageio_ffmpeg.read_frames(str(tmp_path / "v.mp4"))
-    meta = next(reader)
-    assert meta["size"] == (64, 48)
-    assert meta["fps"] == 24
-    read = [np.frombuffer(frame, np.uint8).reshape(48, 64, 3) / 255.0 for frame in reader]
+    told, read = decoded(tmp_path / "v.mp4", (64, 48))
+    assert "64x48" in told
+    assert "24 fps" in told
     assert len(read) == 12
-    np.testing.assert_allclose(np.stack(read).mean(axis=(1, 2)), colours, atol=0.04)
+    np.testing.assert_allclose(read.mean(axis=(1, 2)), colours, atol=0.04)
     with pytest.raises(UserError, match="cannot be written"):
         write_video(tmp_path / "no" / "v.mp4", iter([np.zeros((48, 64, 3), np.float32)]), (64, 48))
 
@@ -440,7 +481,7 @@ def test_out_of_view_and_hidden_are_told(capture: Capture, ball: Path) -> None:
     asset, up = load_asset(str(ball)), np.array([0.0, 0.0, 1.0])
     with pytest.raises(UserError, match="out of all 3 pictures"):
         insert_object(capture, PlacedObject(asset, upright(np.array([0.0, 0.0, 80.0]), up, 0.0, 0.1)))
-    below = scene_centre(capture) - [0.0, 0.0, 2.0]
+    below = scene_centre(capture) + 0.5 * (scene_centre(capture) - capture.eyes[0])
     with pytest.raises(UserError, match="hides it in all"):
         insert_object(capture, PlacedObject(asset, upright(below, up, 0.0, 0.1)))
 
@@ -457,12 +498,12 @@ def test_command_writes_pictures_gaussians_and_video(
     out = tmp_path / "out"
     for name in ("composites", "single", "harmonized", "masks"):
         assert sorted(p.name for p in (out / name).iterdir()) == ["00.png", "01.png", "02.png"]
-        assert Image.open(out / name / "00.png").size == (64, 48)
+        assert read_picture(out / name / "00.png").shape == (48, 64, 3)
     gaussians = read_gaussians(out / "scene.ply")
     assert len(gaussians) == 32 * 32
     independent = trimesh.load(out / "scene.ply")
     np.testing.assert_allclose(np.asarray(independent.vertices), gaussians.means, atol=1e-5)
-    assert imageio_ffmpeg.count_frames_and_secs(str(out / "orbit.mp4"))[0] == 5
+    assert len(decoded(out / "orbit.mp4", (64, 48))[1]) == 5
     pose = np.array(json.loads((out / "placement.json").read_text())["world_from_asset"])
     assert pose.shape == (4, 4)
     assert main([*words, "--weights-3d", str(tmp_path / "w2.safetensors")], COMMANDS) == 1

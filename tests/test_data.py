@@ -110,7 +110,9 @@ def test_a_sample_depends_on_seed_epoch_and_index_only(packed: Path) -> None:
 @pytest.mark.parametrize("workers", [1, 2])
 def test_workers_change_nothing_and_learn_of_epochs(packed: Path, workers: int) -> None:
     data = opened(packed, length=6)
-    loader = DataLoader(data, batch_size=None, num_workers=workers, persistent_workers=True)
+    loader = DataLoader(
+        data, batch_size=None, num_workers=workers, persistent_workers=True, multiprocessing_context="spawn"
+    )
     for epoch in (0, 1):
         data.set_epoch(epoch)
         loaded = list(loader)
@@ -244,7 +246,7 @@ def test_stream_holds_the_same_samples_scene_by_scene(packed: Path) -> None:
     for rank in (0, 1):
         stream = MultiLightStream(packed, settings, rank=rank, world=2)
         assert len(stream) == 10
-        shares += list(DataLoader(stream, batch_size=None, num_workers=2))
+        shares += list(DataLoader(stream, batch_size=None, num_workers=2, multiprocessing_context="spawn"))
     assert sorted(s["target"].numpy().tobytes() for s in shares) == wanted
 
 

@@ -120,7 +120,8 @@ def load_stage3d(path: Path | None) -> Compositing3D | None:
         network = Compositing3D(NetworkConfig.from_json(weights_header(path)["network"]))
         network.load_state_dict(load_file(path))
     except (OSError, ValueError, KeyError, ValidationError, RuntimeError) as error:
-        raise UserError(f"weights {path} are not those of a 3D stage: {str(error).splitlines()[0]}") from None
+        reason = str(error).splitlines()[-1].strip()
+        raise UserError(f"weights {path} are not those of a 3D stage: {reason}") from None
     return network.eval()
 
 

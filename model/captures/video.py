@@ -1,5 +1,6 @@
 """An orbit about the inserted object, through the Gaussians of the harmonized scene, as an mp4 file."""
 
+import subprocess
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -65,12 +66,17 @@ def render_gaussians(camera: Camera, gaussians: Gaussians) -> Float32:
 
 
 def write_video(path: Path, frames: Iterable[Float32], size: tuple[int, int], fps: int = FPS) -> None:
-    """Write pictures (H, W, 3) in [0, 1] of `size` (width, height), both even, as H.264; raises `UserError`."""
-    try:
-        writer = imageio_ffmpeg.write_frames(str(path), size, fps=fps, quality=8, macro_block_size=2)
-        writer.send(None)
-        for frame in frames:
-            writer.send(np.ascontiguousarray(to_bytes(frame)))
-        writer.close()
-    except (OSError, RuntimeError) as error:
-        raise UserError(f"video {path} cannot be written: {str(error).splitlines()[0]}") from None
+    """Write pictures (H, W, 3) in [0, 1] of `size` (width, height), both even, as H.264; raises `UserError`.
+
+    ffmpeg is started by hand: `imageio_ffmpeg.write_frames` forks, which hangs where a library holds a lock.
+    """
+    if not path.parent.is_dir():
+        raise UserError(f"video {path} cannot be written: {path.parent} is not a folder")
+    raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{size[0]}x{size[1]}", "-r", str(fps), "-i", "-"]
+    coded = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "18", str(path)]
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-loglevel", "error", *raw, *coded]
+    pictures = b"".join(np.ascontiguousarray(to_bytes(frame)).tobytes() for frame in frames)
+    done = subprocess.run(command, input=pictures, capture_output=True, check=False)
+    if done.returncode:
+        reason = done.stderr.decode(errors="replace").strip().splitlines()
+        raise UserError(f"video {path} cannot be written: {reason[-1] if reason else done.returncode}")
