@@ -24,7 +24,9 @@ import mitsuba as mi
 
 from datagen.backends.mitsuba import MitsubaBackend
 from datagen.backends.mitsuba.arrays import Textures, scene_arrays
+from datagen.backends.mitsuba.backend import _Batch
 from datagen.backends.mitsuba.bsdf import Tables
+from datagen.backends.mitsuba.cameras import Lens
 from datagen.backends.mitsuba.integrator import World, trace
 from datagen.backends.mitsuba.lights import emitters_of
 from datagen.backends.mitsuba.surfaces import Surfaces, build
@@ -298,6 +300,21 @@ def test_removing_a_glowing_object_leaves_other_light_alone(backend):
     # Only paths that ran into the bulb itself.
     assert changed.mean() > 0
     assert changed[:, far].mean() < 0.05
+
+
+def test_only_paths_that_met_a_glowing_object_are_traced_again(backend):
+    """That a body hides half of its own glow from a point is no reason to trace that point without it."""
+    scene = job().scene
+    bodies = tuple(b.model_copy(update={"insertable": b.name == "bulb"}) for b in scene.bodies)
+    scene = scene.model_copy(update={"bodies": bodies})
+    lights = tuple(light for light in RIG.lights if light.name == "glow")
+    settings = RenderSettings(spp=4, max_bounces=1, threads=2)
+    backend.render(RenderJob(scene, LightRig(lights=lights), settings, 0))
+    camera = scene.cameras[0]
+    batch = _Batch(backend._synced, Lens(camera), camera, settings, (0, 0, 4))
+    book = batch._trace(None, dr.arange(mi.UInt32, camera.width * camera.height * 4))
+    lit = np.array(book.first) > 0
+    assert 0 < np.mean(np.array(book.met)[lit] != 0) < 0.25
 
 
 def test_composite_with_one_lighting_is_the_target_at_edges(backend):

@@ -216,6 +216,9 @@ def _direct(world: World, s: dict, hit: Hit, c: bsdf.Closure, frame: mi.Frame3f,
         if not world.surfaces.glass:
             usable &= dr.dot(hit.ng, found.d) > 0
         passed, met = _blocked(world, hit, found, usable)
+        if isinstance(light, Glow):
+            # A glowing body that shades itself: without it this light is gone, and nothing else has changed.
+            met &= ~dr.gather(mi.UInt32, world.bits, light.body)
         book.met |= dr.select(usable, met, 0)
         book.layers[number] += dr.select(usable, light_in * passed, 0)
 
