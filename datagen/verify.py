@@ -6,6 +6,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import binary_erosion
 
 from datagen import compose
 from datagen.energy import noise_variance, tolerance
@@ -205,6 +206,10 @@ def _off(a: Float32, b: Float32, where: np.ndarray) -> float:
     return float((np.abs(a[where] - b[where]) / scale).max())
 
 
+STRAY = 0.01
+"""Share of an object's inner pixels whose centre may see something else, through a gap that all samples missed."""
+
+
 def _masks(record: SceneRecord, view: ViewData) -> Iterator[str]:
     ids, environment = view.geometry.instance_id, view.geometry.environment
     if ids.max() > len(record.scene.bodies):
@@ -213,8 +218,11 @@ def _masks(record: SceneRecord, view: ViewData) -> Iterator[str]:
     if total.max() > 1 + OVERLAP:
         yield f"coverages and environment add up to {total.max():.3f} in a pixel"
     for name, alpha in view.coverage.items():
-        if (ids[alpha >= 0.999] != record.scene.instance_id(name)).any():
-            yield f"pixels wholly covered by {name} carry another instance_id"
+        # Away from the outline: where few samples all hit the object, the pixel's centre may still lie beside it.
+        inside = binary_erosion(alpha >= 0.999, np.ones((3, 3)))
+        wrong = np.count_nonzero(ids[inside] != record.scene.instance_id(name))
+        if wrong > 1 + STRAY * np.count_nonzero(inside):
+            yield f"{wrong} pixels wholly covered by {name} carry another instance_id"
     if ((view.geometry.z_depth > 0) != (ids > 0)).any():
         yield "z_depth and instance_id disagree on where there is geometry"
 

@@ -167,8 +167,9 @@ class _Atlas:
     def __init__(self, textures: Textures) -> None:
         self._textures = textures
         self._placed: dict[str, tuple[int, int, int]] = {}
-        self._words: list[UInt32] = [np.zeros(1, np.uint32)]
-        self._end = 1
+        # Two words at least: Dr.Jit reads an array of one as a constant, in a kernel of its own.
+        self._words: list[UInt32] = [np.zeros(2, np.uint32)]
+        self._end = 2
 
     def place(self, texture: Texture | None) -> tuple[int, int, int]:
         """Return (offset, width, height) of a texture's words."""
