@@ -52,9 +52,10 @@ def from_windows(x: Tensor, rows: int, columns: int, window: int) -> Tensor:
 @functools.cache
 def relative_places(window: int) -> Tensor:
     """Return the row of the bias table for each pair of tokens: (N, N) int64."""
-    y, x = torch.meshgrid(torch.arange(window), torch.arange(window), indexing="ij")
-    dy, dx = (v.flatten()[:, None] - v.flatten()[None, :] + window - 1 for v in (y, x))
-    return (2 * window - 1) * dy + dx
+    with torch.inference_mode(False):  # kept, so a training may use what an inference was the first to ask for
+        y, x = torch.meshgrid(torch.arange(window), torch.arange(window), indexing="ij")
+        dy, dx = (v.flatten()[:, None] - v.flatten()[None, :] + window - 1 for v in (y, x))
+        return (2 * window - 1) * dy + dx
 
 
 class WindowAttention(nn.Module):

@@ -142,7 +142,7 @@ def _backdrop(rng: np.random.Generator, library: AssetLibrary, table: Float64) -
     scale = float(rng.uniform(0.9, 1.3))
     pose = np.eye(4) * scale
     behind = float(table[1, 1]) + scale * rng.uniform(0.9, 1.4)
-    pose[:, 3] = [0.0, behind - scale * STUDIO.depth / 2, 0.002, 1.0]
+    pose[:, 3] = [0.0, behind - scale * STUDIO.depth / 2, 0.0003, 1.0]
     mesh = library.mesh(SWEEP_ID)
     sweep = Body(
         name="backdrop",

@@ -172,8 +172,8 @@ def test_lookup_is_bilinear() -> None:
 def test_a_perfect_model_wins_everywhere(groups: list[Group]) -> None:
     targets = {case.composite.tobytes(): case.target for group in groups for case in group.cases}
     models = {
-        "perfect": lambda composite, background, depth: targets[composite.tobytes()],
-        "dull": lambda composite, background, depth: background,
+        "perfect": lambda composite, background, depth, mask: targets[composite.tobytes()],
+        "dull": lambda composite, background, depth, mask: background,
     }
     found = evaluate([lambda g=g: g for g in groups], methods_of(models))
     both = "object and effect"
