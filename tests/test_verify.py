@@ -151,7 +151,7 @@ def test_a_view_that_would_be_black_is_brightened() -> None:
 def noisy_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two small views by Cycles with few samples, denoised, the raw layers kept."""
     root = tmp_path_factory.mktemp("noisy") / "dataset"
-    size = ("--width", "96", "--height", "72", "--views", "2", "--spp", "4", "--seed", "5", "--keep-raw")
+    size = ("--width", "96", "--height", "72", "--views", "2", "--spp", "16", "--seed", "5", "--keep-raw")
     assert main(["scene", "--out", str(root), "--renderer", "cycles", *size]) == 0
     return root
 
