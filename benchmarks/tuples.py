@@ -5,7 +5,7 @@ rendered anew with everything and without each object, with Cycles' own denoiser
 pipelines do (a mask then cuts the object out). Same scene, size and view.
 
 Quality is the PSNR of the target as shown (8 bits, tone-mapped) against a converged render of the same renderer,
-itself denoised, averaged over the conditions. Each way gets the fewest samples (powers of two) that reach
+itself denoised, averaged over the conditions. Each way gets the fewest samples (8, 12, 16, 24 …) that reach
 `--quality`, or where a way does not reach it with `--most-spp`, what all of them reach: that is said. Seconds are
 user and system time of all cores. Loading and compiling are shared by a scene's views and told apart. (c) is linear
 in conditions: `--timed-conditions` of them are rendered, each in all its variants, and counted for all.
@@ -108,16 +108,20 @@ class Way:
 
 
 def climb(title: str, options: Options, quality: Callable[[int], float]) -> dict[int, float]:
-    """Double the samples until the quality is reached; returns the quality by samples."""
+    """Raise the samples step by step until the quality is reached; returns the quality by samples."""
     ladder: dict[int, float] = {}
-    spp = LEAST_SPP
-    while spp <= options.most_spp:
+    for spp in steps(options.most_spp):
         ladder[spp] = quality(spp)
         print(f"  {title:36}{spp:5} spp {ladder[spp]:6.1f} dB", flush=True)
         if ladder[spp] >= options.quality:
             break
-        spp *= 2
     return ladder
+
+
+def steps(most: int) -> list[int]:
+    """Return powers of two and one and a half times these: 8, 12, 16, 24 … up to `most`."""
+    powers = [LEAST_SPP << i for i in range((most // LEAST_SPP).bit_length())]
+    return sorted(spp for power in powers for spp in (power, power * 3 // 2) if spp <= most)
 
 
 def make_tuples(case: Case, data: ViewData) -> None:
