@@ -1,13 +1,15 @@
 """The packed view: what training reads of a view, as half floats that are mapped, not decoded.
 
-The layers of `all` stand in full. The other variants are cut into tiles of 16x16 pixels; only tiles that are neither
-those of `all` nor empty are kept, each once; the rest are numbers in a table. Values are the stored ones, bit for bit.
+All pictures are cut into tiles of 16x16 pixels. Those of variant `all` stand in full; of the other variants only tiles
+that are neither those of `all` nor empty are kept, each once; the rest are numbers in a table. Values are the stored
+ones, bit for bit.
 """
 
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +23,7 @@ from datagen.store import HALF_MAX, ViewData
 from lights.relight import gain_matrix
 
 TILE = 16
-FORMAT = "multilight packed view 1"
+FORMAT = "multilight packed view 2"
 SAME = -1
 """In a table: the tile is that of `all` in the same layer and place."""
 
@@ -38,14 +40,16 @@ KINDS = {
     "conditions": ("float32",),
 }
 """The arrays of a file and their types."""
+KIND_OF = {"F16": np.float16, "F32": np.float32, "F64": np.float64, "I32": np.int32}
+"""NumPy's names of the types, by the format's own."""
 
 
 @dataclass(frozen=True)
 class PackedView:
     """One view with L lights, O insertable objects and C stored lighting conditions.
 
-    all (L, 3, Y, X) float16 (float32 where radiance exceeds half), Y and X the height and width filled up with zeros
-    to whole tiles, T in all, numbered row by row; tiles (N, 3, 16, 16), the first of them zero; without, foreground
+    all (L, T, 3, 16, 16) float16 (float32 where radiance exceeds half), the T tiles numbered row by row, the last of a
+    row or column filled up with zeros; tiles (N, 3, 16, 16), the first of them zero; without, foreground
     (O, L, T) int32 are numbers of tiles or `SAME`; alpha (M, 16, 16) float16 are tiles of coverage, the first of them
     zero; coverage (O, T) int32 their numbers; z_depth (H, W) float32 metres, 0 where nothing; K (3, 3) float64 in
     pixels; c2w (4, 4) float64, OpenGL axes; conditions (C, L, 3) float32 linear gains, metered exposure included.
@@ -66,15 +70,14 @@ class PackedView:
 
     def variant(self, name: str) -> NDArray[np.floating]:
         """Put one variant together again: (L, H, W, 3) as stored; raises `KeyError` where there is none."""
-        height, width = self.z_depth.shape
         if name == "all":
-            return self.all[..., :height, :width].transpose(0, 2, 3, 1)
+            return _joined(self.all, self.z_depth.shape).transpose(0, 2, 3, 1)
         action, _, thing = name.partition("_")
         tables = {"without": self.without, "foreground": self.foreground}
         if action not in tables or thing not in self.objects:
             raise KeyError(name)
         numbers = tables[action][self.objects.index(thing)]
-        whole = _split(self.all)
+        whole = self.all.copy()
         kept = numbers != SAME
         whole[kept] = self.tiles[numbers[kept]]
         return _joined(whole, self.z_depth.shape).transpose(0, 2, 3, 1)
@@ -90,8 +93,8 @@ def pack_view(view: ViewData, record: SceneRecord, number: int) -> PackedView:
     objects, camera = tuple(sorted(view.coverage)), record.views[number]
     peak = max(float(layers.max(initial=0.0)) for layers in view.variants.values())
     kind = np.float16 if peak <= HALF_MAX else np.float32
-    full = _filled(view.variants["all"].astype(kind))
-    whole, pool, alpha = _split(full), _Pool((3, TILE, TILE), kind), _Pool((1, TILE, TILE), np.float16)
+    whole = _split(_filled(view.variants["all"].astype(kind)))
+    pool, alpha = _Pool((3, TILE, TILE), kind), _Pool((1, TILE, TILE), np.float16)
     tables: dict[str, NDArray[np.int32]] = {}
     for action in ("without", "foreground"):
         variants = (_split(_filled(view.variants[f"{action}_{name}"].astype(kind))) for name in objects)
@@ -101,7 +104,7 @@ def pack_view(view: ViewData, record: SceneRecord, number: int) -> PackedView:
     return PackedView(
         lights=view.lights,
         objects=objects,
-        all=full,
+        all=whole,
         tiles=pool.tiles(),
         **tables,
         alpha=alpha.tiles()[:, 0],
@@ -125,9 +128,9 @@ def write_packed(path: Path, view: PackedView) -> None:
 def read_packed(path: Path) -> PackedView:
     """Read a packed view; raises `StoreError` naming the file where it is missing, truncated or foreign."""
     try:
-        with safe_open(path, "numpy") as stored:
+        with safe_open(path, "numpy") as stored:  # checks the header against the file
             named = json.loads((stored.metadata() or {}).get("multilight", "{}"))
-            arrays = {name: stored.get_tensor(name) for name in stored.keys()}  # noqa: SIM118  (not a mapping)
+        arrays = _mapped(path)
         if named.get("format") != FORMAT:
             raise StoreError(f"{path} is not a {FORMAT!r}: its format is {named.get('format')!r}")
         view = PackedView(tuple(named["lights"]), tuple(named["objects"]), **arrays)
@@ -140,6 +143,19 @@ def read_packed(path: Path) -> PackedView:
     if fault := _fault(view):
         raise StoreError(f"{path} is damaged: {fault}")
     return view
+
+
+def _mapped(path: Path) -> dict[str, NDArray[Any]]:
+    """Map the arrays of a sound safetensors file: of a page, nothing is read or copied until it is looked at."""
+    content = np.memmap(path, np.uint8, "c")  # writable, since torch wants that; nothing reaches the file
+    length = int(content[:8].view("<u8")[0])
+    header = json.loads(content[8 : 8 + length].tobytes())
+    data = content[8 + length :].view(np.ndarray)
+    return {
+        name: data[slice(*about["data_offsets"])].view(KIND_OF[about["dtype"]]).reshape(about["shape"])
+        for name, about in header.items()
+        if name != "__metadata__"
+    }
 
 
 class _Pool:
@@ -196,7 +212,7 @@ def _fault(view: PackedView) -> str:
     count, lights = len(view.objects), len(view.lights)
     rows, columns = (-(-length // TILE) for length in view.z_depth.shape)
     shapes: Mapping[str, tuple[int | None, ...]] = {
-        "all": (lights, 3, rows * TILE, columns * TILE),
+        "all": (lights, rows * columns, 3, TILE, TILE),
         "tiles": (None, 3, TILE, TILE),
         "without": (count, lights, rows * columns),
         "foreground": (count, lights, rows * columns),

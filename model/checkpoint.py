@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -15,11 +15,13 @@ from torch.optim import Optimizer
 
 from datagen.errors import UserError
 from model.compositing2d import Compositing2D
-from model.compositing3d import Compositing3D
+from model.compositing3d import Compositing3D, SceneNetwork, scene_network
 from model.config import NetworkConfig, TrainingConfig
+from model.config3d import SceneNetworkConfig
+from model.points3d import PointTransformer
 
 Tensors = dict[str, Tensor]
-Network = TypeVar("Network", Compositing2D, Compositing3D)
+Network = TypeVar("Network", Compositing2D, Compositing3D | PointTransformer)
 SCHEMA_VERSION = 1
 
 
@@ -65,7 +67,8 @@ def load_checkpoint(
         record = json.loads(path.read_text())
         if record["schema_version"] != SCHEMA_VERSION:
             raise ValueError(f"schema version {record['schema_version']}, this program reads {SCHEMA_VERSION}")
-        _same_training(path, record["config"], config.model_dump(mode="json"))
+        stored = type(config).model_validate(record["config"])  # keys that are newer than the file get their defaults
+        _same_training(path, stored.model_dump(mode="json"), config.model_dump(mode="json"))
         tensors, _ = _read_tensors(path.with_suffix(".safetensors"))
         model.load_state_dict(_under(tensors, "model."))
         average.load_state_dict(_under(tensors, "ema."))
@@ -77,6 +80,12 @@ def load_checkpoint(
         return Progress(**record["progress"])
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise UserError(f"checkpoint {path} cannot be read: {error}; remove it, or start anew with --fresh") from None
+
+
+def checkpoint_progress(folder: Path) -> Progress:
+    """Return how far the training in a folder of checkpoints is: nowhere, where there is none."""
+    path = newest_checkpoint(folder)
+    return Progress() if path is None else Progress(**json.loads(path.read_text())["progress"])
 
 
 RUN_KEYS = {"out", "steps", "minutes", "device", "log_every", "save_every"}
@@ -101,20 +110,20 @@ def save_network(path: Path, network: nn.Module, config: NetworkConfig, about: M
 
 def load_network(path: Path) -> Compositing2D:
     """Read finished weights of the 2D stage; raises `UserError` naming the file and what is wrong with it."""
-    return _loaded(path, Compositing2D)
+    return _loaded(path, lambda text: Compositing2D(NetworkConfig.from_json(text)))
 
 
-def load_network3d(path: Path) -> Compositing3D:
+def load_network3d(path: Path) -> SceneNetwork:
     """Read finished weights of the 3D stage; raises `UserError` naming the file and what is wrong with it."""
-    return _loaded(path, Compositing3D)
+    return _loaded(path, lambda text: scene_network(SceneNetworkConfig.from_json(text)))
 
 
-def _loaded(path: Path, kind: type[Network]) -> Network:
+def _loaded(path: Path, made: Callable[[str], Network]) -> Network:
     if not path.is_file():
         raise UserError(f"weights {path} do not exist; make some with: multilight train CONFIG")
     try:
         tensors, header = _read_tensors(path)
-        network = kind(NetworkConfig.from_json(header["network"]))
+        network = made(header["network"])
         network.load_state_dict(tensors)
     except (OSError, ValueError, KeyError, ValidationError, RuntimeError) as error:
         raise UserError(f"weights {path} cannot be read: {str(error).splitlines()[0]}") from None

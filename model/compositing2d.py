@@ -16,6 +16,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from datagen.errors import UserError
 from model.config import NetworkConfig
 from model.cues import linear_to_srgb, relief, soft_mask, srgb_to_linear
 
@@ -229,6 +230,7 @@ class Compositing2D(nn.Module):
         `mask` (B, 1, H, W) in [0, 1], where given, replaces the estimated one. The result is display-encoded and, in
         training, not clipped.
         """
+        composite, background, depth = self.shown(composite, background, depth, mask)
         if mask is None:
             mask = soft_mask(composite, background)
         maps = self.predict(composite, background, depth, mask)
@@ -237,6 +239,21 @@ class Compositing2D(nn.Module):
         else:
             image = maps + composite if self.config.head == "residual" else maps.sigmoid()
         return image if self.training else image.clamp(0.0, 1.0)
+
+    def shown(
+        self, composite: Tensor, background: Tensor, depth: Tensor, mask: Tensor | None
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Return the inputs with what the network is blind to replaced: the background by the composite, depth by 1.
+
+        Raises `UserError` where a network that is blind to the background would have to find the mask with its help.
+        """
+        if "background" in self.config.blind:
+            if mask is None:
+                raise UserError("a network that is blind to the background needs the object's mask")
+            background = composite
+        if "depth" in self.config.blind:
+            depth = torch.ones_like(depth)
+        return composite, background, depth
 
     def predict(self, composite: Tensor, background: Tensor, depth: Tensor, mask: Tensor) -> Tensor:
         """Return what the head predicts: gain maps at `scale`, or full-resolution (B, 3, H, W)."""

@@ -12,6 +12,7 @@ from datagen.errors import UserError
 from scenes.frozen import Frozen, UnitFloat
 
 Head = Literal["gain", "residual", "direct"]
+Input = Literal["background", "depth"]
 Positive = Annotated[float, Field(gt=0)]
 
 
@@ -38,6 +39,8 @@ class NetworkConfig(Frozen):
     """What is predicted: gains and offsets in linear light, a residual, or the picture itself."""
     cues: bool = True
     """Compute the soft mask and the relief of the depth and hand them to the network as well."""
+    blind: tuple[Input, ...] = ()
+    """Inputs that are withheld: no pixel of them reaches the output; without `background` a mask must be given."""
 
     @model_validator(mode="after")
     def _heads_divide_width(self) -> "NetworkConfig":

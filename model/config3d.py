@@ -5,12 +5,36 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from model.config import NetworkConfig, TrainingConfig
+from model.config import Head, NetworkConfig, TrainingConfig
 
 Order = Literal["hilbert", "morton", "arbitrary"]
 
-SLIM3D = NetworkConfig(stride=4, width=64, groups=2, blocks=2, heads=4, window=8, pooled=4, head="residual", cues=False)
-"""Our network of the 3D stage: 0.5 M parameters."""
+Layout = Literal["map", "map+points", "points"]
+
+
+class SceneNetworkConfig(NetworkConfig):
+    """The shape of the network of the 3D stage, and what it works on: 0.4 M parameters, unless told otherwise."""
+
+    stride: Literal[1, 2, 4, 8] = 4
+    """Map cells a side of a token."""
+    width: Annotated[int, Field(ge=8, le=1024)] = 64
+    """Channels of a token."""
+    blocks: Annotated[int, Field(ge=1, le=32)] = 2
+    """Blocks a group; every second one shifts its windows."""
+    heads: Annotated[int, Field(ge=1, le=64)] = 4
+    """Attention heads a block; must divide `width`."""
+    head: Head = "residual"
+    """What is predicted: here always a residual."""
+    cues: bool = False
+    """Not used: the map has none."""
+    layout: Layout = "map"
+    """The Gaussians' colours on a map, their places and normals besides, or no map: clusters (`model.points3d`)."""
+    order: Order = "hilbert"
+    """Order of the Gaussians on the map: along the Hilbert curve, the Z-order curve, or at random."""
+
+
+SLIM3D = SceneNetworkConfig()
+"""Our network of the 3D stage."""
 
 
 class SceneTrainingConfig(TrainingConfig):
@@ -18,14 +42,12 @@ class SceneTrainingConfig(TrainingConfig):
 
     weights_2d: Path
     """Finished weights of the 2D stage, which stays as it is."""
-    network: NetworkConfig = SLIM3D
-    """The network on the Gaussians' map."""
+    network: SceneNetworkConfig = SLIM3D
+    """The network on the Gaussians."""
     views: Annotated[int, Field(ge=1, le=64)] = 4
     """Views of a scene that its Gaussians are made from."""
     side: Annotated[int, Field(ge=16, le=1024)] = 128
     """Cells a side of the map, a power of two: 256 is 65,536 Gaussians."""
-    order: Order = "hilbert"
-    """Order of the Gaussians on the map: along the Hilbert curve, the Z-order curve, or at random."""
     learning_rate: Annotated[float, Field(gt=0)] = 3e-4
     """Largest learning rate."""
     kept_scenes: Annotated[int, Field(ge=1)] = 64

@@ -74,13 +74,14 @@ LazyGroup = Callable[[], Group]
 @dataclass(frozen=True)
 class CaseSettings:
     """Which tuples: scenes of the `splits`, at most `groups` objects a split, drawn with `seed`, `size` pixels a
-    side.
+    side; of those scenes that the SQL expression `where` over the dataset's index chooses.
     """
 
     splits: tuple[Split, ...] = ("test", "test_ood")
     groups: int = 32
     seed: int = 0
     size: int = 256
+    where: str | None = None
 
 
 def dataset_groups(address: str | Path, settings: CaseSettings) -> list[LazyGroup]:
@@ -100,8 +101,20 @@ def dataset_groups(address: str | Path, settings: CaseSettings) -> list[LazyGrou
     return found
 
 
+def with_subset(load: LazyGroup, name: str) -> LazyGroup:
+    """Let a group count in one more subset."""
+
+    def named() -> Group:
+        group = load()
+        return replace(group, subsets=(*group.subsets, name))
+
+    return named
+
+
 def _split_groups(address: str | Path, split: Split, settings: CaseSettings) -> list[LazyGroup]:
-    first = SampleSettings(size=settings.size, seed=settings.seed, split=split, length=1, augment=False)
+    first = SampleSettings(
+        size=settings.size, seed=settings.seed, split=split, where=settings.where, length=1, augment=False
+    )
     index = open_training(address, where=first.filter()).index
     if not len(index):
         raise UserError(f"no scene of split {split!r}")

@@ -8,10 +8,11 @@ from numpy.typing import NDArray
 
 from model.checkpoint import load_network, load_network3d
 from model.compositing2d import Compositing2D
-from model.compositing3d import Compositing3D, harmonize_scene
+from model.compositing3d import SceneNetwork, harmonize_scene
 from model.evaluation_cases import Case, Group
 from model.harmonize import chosen_device, harmonize
-from model.splat import splat_scene
+from model.refine import refined_scene
+from model.splat import SplatScene, splat_scene
 
 Float32 = NDArray[np.float32]
 
@@ -21,11 +22,15 @@ SIDE = 256  # cells a side of the map: 65,536 Gaussians
 class SceneMethod:
     """Harmonize the views of a group together: the 2D stage on each, then the 3D stage on their Gaussians.
 
-    A single view, or views without cameras, are left to the 2D stage.
+    A single view, or views without cameras, are left to the 2D stage. The Gaussians lie on the views' depth; with
+    `refine_iterations` they are first refined on the composites, the pictures that a capture with the object would be.
     """
 
-    def __init__(self, stage2d: Compositing2D, stage3d: Compositing3D, side: int = SIDE) -> None:
-        self.stage2d, self.stage3d, self.side = stage2d, stage3d, side
+    def __init__(
+        self, stage2d: Compositing2D, stage3d: SceneNetwork, side: int = SIDE, refine_iterations: int = 0
+    ) -> None:
+        self.stage2d, self.stage3d = stage2d, stage3d
+        self.side, self.refine_iterations = side, refine_iterations
         self._group: Group | None = None
         self._done: dict[str, Float32] = {}
 
@@ -38,24 +43,39 @@ class SceneMethod:
         if self._group is None or len(self._group.cameras) < 2:
             return self._flat(case)
         if not self._done:
-            self._done = self._together(self._group)
+            self._done = self._together(self._group, self._scene(self._group))
         return self._done[case.name]
 
     def _flat(self, case: Case) -> Float32:
         return harmonize(self.stage2d, case.composite, case.background, case.depth, mask=case.mask)
 
+    def _scene(self, group: Group) -> SplatScene:
+        depths = np.stack(group.z_depth)
+        scene = splat_scene(group.cameras, depths, side=self.side, order=self.stage3d.config.order).to(self._device)
+        if not self.refine_iterations:
+            return scene
+        pictures = np.stack([case.composite for case in group.cases])
+        steps, device = self.refine_iterations, self._device
+        return refined_scene(scene, group.cameras, pictures, depths, steps=steps, device=device)
+
+    @property
+    def _device(self) -> torch.device:
+        return next(self.stage3d.parameters()).device
+
     @torch.inference_mode()
-    def _together(self, group: Group) -> dict[str, Float32]:
-        device = next(self.stage3d.parameters()).device
-        scene = splat_scene(group.cameras, np.stack(group.z_depth), side=self.side).to(device)
-        stacks = (np.stack([case.composite for case in group.cases]), np.stack([self._flat(c) for c in group.cases]))
-        composites, harmonized = (torch.from_numpy(stack).permute(0, 3, 1, 2).to(device) for stack in stacks)
-        _, views = harmonize_scene(self.stage3d, scene, composites, harmonized)
+    def _together(self, group: Group, scene: SplatScene) -> dict[str, Float32]:
+        cases = group.cases
+        pictures = [c.composite for c in cases], [self._flat(c) for c in cases], [c.background for c in cases]
+        composites, harmonized, backgrounds = (
+            torch.from_numpy(np.stack(views)).permute(0, 3, 1, 2).to(self._device) for views in pictures
+        )
+        _, views = harmonize_scene(self.stage3d, scene, composites, harmonized, backgrounds)
         shown = views.clamp(0.0, 1.0).permute(0, 2, 3, 1).cpu().numpy()
         return {case.name: picture for case, picture in zip(group.cases, shown, strict=True)}
 
 
-def scene_method(weights2d: Path, weights3d: Path, device: str = "auto") -> SceneMethod:
+def scene_method(weights2d: Path, weights3d: Path, device: str = "auto", *, refine_iterations: int = 0) -> SceneMethod:
     """Load both stages; raises `UserError` naming the file that cannot be read."""
     chosen = chosen_device(device)
-    return SceneMethod(load_network(weights2d).to(chosen), load_network3d(weights3d).to(chosen))
+    stages = load_network(weights2d).to(chosen), load_network3d(weights3d).to(chosen)
+    return SceneMethod(*stages, refine_iterations=refine_iterations)

@@ -99,6 +99,7 @@ def harmonize(
     device = next(network.parameters()).device
     pictures = [_tensor(p, device) for p in (composite, background, depth)]
     given = None if mask is None else _tensor(mask, device)
+    pictures = list(network.shown(pictures[0], pictures[1], pictures[2], given))
     try:
         if max(composite.shape[:2]) <= WHOLE:
             result = network(*pictures, given)

@@ -70,7 +70,7 @@ class SceneSamples:
             depths = views["z_depth"][:, 0]
             cameras = [camera_of(k, c, depths.shape[1:]) for k, c in zip(views["K"], views["c2w"], strict=True)]
             try:
-                made = splat_scene(cameras, depths, side=self.config.side, order=self.config.order)
+                made = splat_scene(cameras, depths, side=self.config.side, order=self.config.network.order)
             except ValueError as error:
                 raise UserError(f"scene {index}: {error}; leave it out with data.where = 'index != {index}'") from None
             self._kept[key] = made.to(self.device)

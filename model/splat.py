@@ -18,7 +18,7 @@ from scipy.sparse import csr_matrix, vstack
 from torch import Tensor
 
 from model.config3d import Order
-from scenes.gaussians import SceneGaussians, gaussians_from_views
+from scenes.gaussians import Gaussians, SceneGaussians, gaussians_from_views
 from scenes.hilbert import box_cells, morton_index
 from scenes.spec import Camera
 from scenes.splatting import blending_weights
@@ -127,7 +127,7 @@ def splat_scene(
     Raises `ValueError` where nothing is seen, or `side` is not a power of two.
     """
     laid = gaussians_from_views(cameras, z_depths, np.zeros(z_depths.shape, np.int64), [], side=side)
-    matrix = vstack([blending_weights(camera, laid.gaussians) for camera in cameras], format="csr")
+    matrix, transposed = _matrices(cameras, laid.gaussians)
     height, width = z_depths.shape[1:]
     cells = laid.cells @ [side, 1]
     if (first := map_order(laid.gaussians.means, order)) is not None:
@@ -136,12 +136,18 @@ def splat_scene(
         views=len(cameras),
         height=height,
         width=width,
-        matrix=_sparse(matrix),
-        transposed=_sparse(matrix.T.tocsr()),
+        matrix=matrix,
+        transposed=transposed,
         cells=torch.from_numpy(cells),
         sources=torch.from_numpy(laid.sources.astype(np.int64) @ [height * width, 1]),
         gaussians=laid,
     )
+
+
+def reshaped(scene: SplatScene, cameras: Sequence[Camera], gaussians: Gaussians) -> SplatScene:
+    """Give a scene's Gaussians, in their order, other shapes and opacities; their places on the map stay."""
+    matrix, transposed = (each.to(scene.matrix.device) for each in _matrices(cameras, gaussians))
+    return replace(scene, matrix=matrix, transposed=transposed, gaussians=replace(scene.gaussians, gaussians=gaussians))
 
 
 def map_order(means: NDArray[np.floating], order: Order, bits: int = 10) -> NDArray[np.int64] | None:
@@ -156,6 +162,12 @@ def map_order(means: NDArray[np.floating], order: Order, bits: int = 10) -> NDAr
             return np.argsort(morton_index(box_cells(means, bits), bits), kind="stable")
         case "arbitrary":
             return np.random.default_rng(0).permutation(len(means))
+
+
+def _matrices(cameras: Sequence[Camera], gaussians: Gaussians) -> tuple[Tensor, Tensor]:
+    """Return what each Gaussian adds to each pixel of all views, and the transpose."""
+    matrix = vstack([blending_weights(camera, gaussians) for camera in cameras], format="csr")
+    return _sparse(matrix), _sparse(matrix.T.tocsr())
 
 
 def _flat(images: Tensor) -> Tensor:

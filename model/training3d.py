@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from datagen.errors import UserError
 from model.checkpoint import Progress, load_checkpoint, load_network, newest_checkpoint, save_checkpoint, save_network
-from model.compositing3d import Compositing3D, harmonize_scene
+from model.compositing3d import harmonize_scene, scene_network
 from model.config3d import SceneTrainingConfig
 from model.losses import CompositingLoss
 from model.scenes3d import SceneSample, SceneSamples
@@ -24,7 +24,7 @@ class SceneTrainer:
         self.config, self.device = config, device
         torch.manual_seed(config.seed)
         self.stage2d = load_network(config.weights_2d).to(device).requires_grad_(False)
-        self.network = Compositing3D(config.network).to(device)
+        self.network = scene_network(config.network).to(device)
         self.average = copy.deepcopy(self.network).requires_grad_(False).eval()
         self.optimizer = make_optimizer(self.network, config)
         self.loss = CompositingLoss(config.loss).to(device)
@@ -81,7 +81,9 @@ class SceneTrainer:
             group["lr"] = rate
         self.network.train()
         self.optimizer.zero_grad(set_to_none=True)
-        colors, views = harmonize_scene(self.network, sample.scene, sample.composite, self._harmonized(sample))
+        colors, views = harmonize_scene(
+            self.network, sample.scene, sample.composite, self._harmonized(sample), sample.background
+        )
         on_map = ((colors - sample.scene.carry(sample.target)) ** 2).mean()
         on_views = self.loss(views, sample.target, sample.mask, sample.effect)["loss"].mean()
         loss = 0.5 * on_map + 0.5 * on_views
@@ -116,7 +118,7 @@ class SceneTrainer:
         found: dict[str, list[Tensor]] = {"composite": [], "2D": [], "3D": []}
         for sample in samples:
             harmonized = self._harmonized(sample)
-            _, views = harmonize_scene(self.average, sample.scene, sample.composite, harmonized)
+            _, views = harmonize_scene(self.average, sample.scene, sample.composite, harmonized, sample.background)
             for name, image in zip(found, (sample.composite, harmonized, views), strict=True):
                 found[name].append(regional_psnr(image, sample.target, sample.mask, sample.effect))
         return {name: float(torch.cat(values).mean()) for name, values in found.items()}

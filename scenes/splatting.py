@@ -52,14 +52,21 @@ def blending_weights(camera: Camera, gaussians: Gaussians) -> csr_matrix:
 
     Rows sum to the covered share of a pixel, in [0, 1].
     """
+    numbers, pixels, weights = blended_pairs(camera, gaussians)
+    return csr_matrix(
+        (weights.astype(np.float32), (pixels, numbers)), shape=(camera.height * camera.width, len(gaussians))
+    )
+
+
+def blended_pairs(camera: Camera, gaussians: Gaussians) -> tuple[NDArray[np.int64], NDArray[np.int64], Float64]:
+    """List what pixels are blended from, pixel by pixel, front to back: Gaussians, flat pixels, weights, (P,) each."""
     seen = footprints(camera, gaussians)
     ranks, pixels, alphas = _pairs(camera, seen)
     order = np.argsort(pixels, kind="stable")  # front to back within each pixel, as the ranks are
     ranks, pixels, alphas = ranks[order], pixels[order], alphas[order]
     through = _transmittance(pixels, alphas)
     kept = through > CLOSED
-    entries = (alphas * through)[kept].astype(np.float32), (pixels[kept], seen.numbers[ranks[kept]])
-    return csr_matrix(entries, shape=(camera.height * camera.width, len(gaussians)))
+    return seen.numbers[ranks[kept]], pixels[kept], (alphas * through)[kept]
 
 
 def footprints(camera: Camera, gaussians: Gaussians) -> Footprints:

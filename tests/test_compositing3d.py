@@ -8,14 +8,13 @@ import torch
 
 from datagen.source import open_dataset
 from model.compositing3d import Compositing3D, detailed, harmonize_scene
-from model.config import NetworkConfig
-from model.config3d import Order
+from model.config3d import Order, SceneNetworkConfig
 from model.splat import SplatScene, map_order, splat_scene
 from scenes.cameras import project
 from scenes.splatting import blending_weights
 
 SIDE = 32
-TINY = NetworkConfig(stride=2, width=16, groups=1, blocks=2, heads=2, window=4, pooled=2, head="residual", cues=False)
+TINY = SceneNetworkConfig(stride=2, width=16, groups=1, blocks=2, heads=2, window=4, pooled=2)
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +95,7 @@ def test_neighbours_on_the_map_are_neighbours_in_space(scene: SplatScene) -> Non
 
 def test_untrained_network_returns_the_carried_colours(scene: SplatScene) -> None:
     harmonized = images(scene, 1) * 0.5 + 0.2
-    colors, _ = harmonize_scene(Compositing3D(TINY).eval(), scene, images(scene), harmonized)
+    colors, _ = harmonize_scene(Compositing3D(TINY).eval(), scene, images(scene), harmonized, images(scene))
     torch.testing.assert_close(colors, scene.carry(harmonized), atol=1e-5, rtol=1e-5)
 
 
@@ -118,6 +117,19 @@ def test_disagreeing_views_are_drawn_together(scene: SplatScene) -> None:
     assert (shown - base)[seen].abs().mean() < 0.75 * (tinted - base)[seen].abs().mean()
 
 
+def test_what_no_view_changed_stays(scene: SplatScene) -> None:
+    """Views that disagree, as reflections do, and a patch of the first that the 2D stage made darker."""
+    backgrounds = images(scene, 1) * 0.5 + 0.2
+    harmonized = backgrounds.clone()
+    untouched = harmonize_scene(Compositing3D(TINY).eval(), scene, harmonized, harmonized, backgrounds)[1]
+    assert torch.equal(untouched, backgrounds)
+    at = scene.height // 2
+    harmonized[0, :, at - 4 : at + 4, at - 4 : at + 4] *= 0.5
+    views = harmonize_scene(Compositing3D(TINY).eval(), scene, harmonized, harmonized, backgrounds)[1]
+    assert (views[0, :, at - 4 : at + 4, at - 4 : at + 4] < backgrounds[0, :, at - 4 : at + 4, at - 4 : at + 4]).all()
+    assert ((views - backgrounds).abs().amax(1) > 1e-3).float().mean() < 0.25
+
+
 def test_network_learns_a_tint(scene: SplatScene) -> None:
     torch.manual_seed(0)
     network = Compositing3D(TINY).train()
@@ -126,7 +138,7 @@ def test_network_learns_a_tint(scene: SplatScene) -> None:
     optimizer = torch.optim.Adam(network.parameters(), lr=5e-3)
     losses = []
     for _ in range(40):
-        colors, _ = harmonize_scene(network, scene, composites, composites)
+        colors, _ = harmonize_scene(network, scene, composites, composites, composites)
         loss = ((colors - scene.carry(target)) ** 2).mean()
         optimizer.zero_grad()
         loss.backward()

@@ -18,12 +18,11 @@ from model.captures.planes import scene_centre
 from model.captures.trust import repaired, trust
 from model.checkpoint import weights_header
 from model.compositing2d import Compositing2D
-from model.compositing3d import Compositing3D, harmonize_scene
-from model.config import NetworkConfig
-from model.config3d import SLIM3D
+from model.compositing3d import Compositing3D, SceneNetwork, harmonize_scene, scene_network
+from model.config3d import SLIM3D, SceneNetworkConfig
 from model.depth import depth_from_metres
 from model.harmonize import harmonize
-from model.splat import SplatScene, splat_scene
+from model.splat import splat_scene
 from scenes.gaussians import Gaussians
 
 Float32 = NDArray[np.float32]
@@ -31,8 +30,6 @@ Report = Callable[[int, int], None]
 
 LEAST_SEEN = 16
 """Pixels of the object, over all views, from which on it is worth harmonizing."""
-UNTOUCHED, TOUCHED = 0.5 / 255.0, 2.0 / 255.0
-"""Change by the 2D stage, in any view, up to which the capture's own pixels stay, and from which on none do."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +69,7 @@ def harmonize_capture(
     capture: Capture,
     inserted: Inserted,
     network: Compositing2D,
-    network3d: Compositing3D | None = None,
+    network3d: SceneNetwork | None = None,
     *,
     side: int,
     report: Report,
@@ -90,16 +87,15 @@ def harmonize_capture(
         single.append(harmonize(network, composite, background, depth, mask=mask) if seen else composite)
         report(number + 1, len(capture.images))
     device = next(network.parameters()).device
+    stage3d = network3d or Compositing3D(SLIM3D).eval()
     try:
-        scene = splat_scene(capture.cameras, inserted.z_depths, side=side).to(device)
+        scene = splat_scene(capture.cameras, inserted.z_depths, side=side, order=stage3d.config.order).to(device)
     except ValueError as error:
         raise UserError(f"{capture.path}: {error}; --side must be a power of two, and the views need depth") from None
-    stage3d = network3d or Compositing3D(SLIM3D).eval()
     harmonized, composites = _tensor(np.stack(single), device), _tensor(inserted.composites, device)
     with torch.inference_mode():
-        colors, views = harmonize_scene(stage3d.to(device), scene, composites, harmonized)
-        share = _touched(scene, harmonized, _tensor(capture.images, device))
-        views = torch.lerp(harmonized, views, share)
+        backgrounds = _tensor(capture.images, device)
+        colors, views = harmonize_scene(stage3d.to(device), scene, composites, harmonized, backgrounds)
     found = scene.gaussians.gaussians
     believed = trust(scene, capture.cameras, inserted.z_depths)
     consistent = views.permute(0, 2, 3, 1).cpu().numpy()
@@ -110,27 +106,19 @@ def harmonize_capture(
     )
 
 
-def load_stage3d(path: Path | None) -> Compositing3D | None:
+def load_stage3d(path: Path | None) -> SceneNetwork | None:
     """Read finished weights of the 3D stage, if any; raises `UserError` naming the file and what is wrong with it."""
     if path is None:
         return None
     if not path.is_file():
         raise UserError(f"weights {path} do not exist")
     try:
-        network = Compositing3D(NetworkConfig.from_json(weights_header(path)["network"]))
+        network = scene_network(SceneNetworkConfig.from_json(weights_header(path)["network"]))
         network.load_state_dict(load_file(path))
     except (OSError, ValueError, KeyError, ValidationError, RuntimeError) as error:
         reason = str(error).splitlines()[-1].strip()
         raise UserError(f"weights {path} are not those of a 3D stage: {reason}") from None
     return network.eval()
-
-
-def _touched(scene: SplatScene, harmonized: Tensor, background: Tensor) -> Tensor:
-    """Return how much of each pixel shows what any view's 2D stage changed, (V, 1, H, W) in [0, 1]."""
-    change = (harmonized - background).abs().amax(dim=1, keepdim=True)
-    changed = ((change - UNTOUCHED) / (TOUCHED - UNTOUCHED)).clamp(0.0, 1.0)
-    shown = scene.render((4.0 * scene.carry(changed)).clamp(max=1.0))
-    return torch.maximum(shown, changed).clamp(0.0, 1.0)
 
 
 def _unseen(capture: Capture, placed: PlacedObject, views: list[ObjectView]) -> str:

@@ -25,6 +25,9 @@ class Evaluate:
     """Weights of the models to compare (default: the ready-made ones)."""
     weights_3d: Path | None = None
     """Weights of the 3D stage, to be compared on top of the last of `weights`."""
+    refine_iterations: tuple[int, ...] = ()
+    """Compare the 3D stage also on Gaussians refined on the views for so many iterations, each number a row of its
+    own. The paper has 250, 1000 and 10000."""
     splits: tuple[Split, ...] = ("test", "test_ood")
     """Splits to evaluate on; each is a subset of the tables."""
     groups: int = 32
@@ -53,6 +56,11 @@ class Evaluate:
         from model.harmonize import DEFAULT_WEIGHTS, network_harmonizer
         from model.lpips import Lpips
 
+        if self.refine_iterations and (self.weights_3d is None or min(self.refine_iterations) < 1):
+            raise UserError(
+                f"--refine-iterations {' '.join(map(str, self.refine_iterations))}: "
+                "needs --weights-3d, and numbers from 1 up; 0 is always compared"
+            )
         groups = self._groups()
         weights = self.weights or (DEFAULT_WEIGHTS,)
         models = {path.stem: network_harmonizer(path, self.device) for path in weights}
@@ -61,7 +69,9 @@ class Evaluate:
         methods = methods_of(models)
         if self.weights_3d is not None:
             stem = weights[-1].stem
-            methods[f"{stem} + 3D"] = scene_method(weights[-1], self.weights_3d, self.device)
+            for steps in (0, *self.refine_iterations):
+                name = f"{stem} + 3D, {steps} refined" if steps else f"{stem} + 3D"
+                methods[name] = scene_method(weights[-1], self.weights_3d, self.device, refine_iterations=steps)
         lpips = Lpips.load(self.lpips) if self.lpips else None
         with progress("objects") as report:
             found = evaluate(groups, methods, lpips=lpips, report=report)

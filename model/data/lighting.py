@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from datagen.layers import Float32
-from datagen.packed import PackedView
+from datagen.packed import TILE, PackedView
 from lights.colour import GELS, gel_rgb, temperature_to_rgb
 from lights.conditions import EXPOSURE, GAIN
 from lights.tonemap import luminance, meter_ev
@@ -83,5 +83,9 @@ def _mixed(thin: Sequence[Float32], gains: Float32) -> Float32:
 def _thinned(view: PackedView) -> Float32:
     """Return every eighth pixel of every eighth row of the layers of `all`: (L, 3, N) float32."""
     height, width = view.z_depth.shape
-    layers = view.all[..., STEP // 2 : height : STEP, STEP // 2 : width : STEP]
-    return layers.astype(np.float32).reshape(len(layers), 3, -1)
+    layers = view.all[..., STEP // 2 :: STEP, STEP // 2 :: STEP]  # (L, T, 3, 2, 2)
+    y, x = (
+        np.arange(STEP // 2, TILE * -(-length // TILE), STEP).reshape(-1, TILE // STEP) for length in (height, width)
+    )
+    inside = (y < height)[:, None, :, None] & (x < width)[None, :, None, :]
+    return layers.astype(np.float32).transpose(0, 2, 1, 3, 4)[:, :, inside.reshape(-1, *inside.shape[2:])]
