@@ -18,9 +18,13 @@ from torch.nn import functional
 
 from datagen.errors import UserError
 from model.config import NetworkConfig
-from model.cues import linear_to_srgb, relief, soft_mask, srgb_to_linear
+from model.cues import largest_near, linear_to_srgb, relief, soft_mask, srgb_to_linear
 
 LARGEST_LOG_GAIN = 4.0
+GLANCE = 64  # pixels a side at which a picture's statistics are taken
+NEAR = 15  # of them: the object's neighbourhood is what a square of that side reaches
+DARK = 0.02  # linear light added before logarithms are taken
+STATISTICS = 25
 GAIN_CHANNELS = 12  # log-gain and offset in RGB, for the object and for its surroundings
 
 
@@ -207,6 +211,26 @@ class Backbone(nn.Module):
         return x
 
 
+def statistics(composite: Tensor, background: Tensor, mask: Tensor) -> Tensor:
+    """Describe how the object and its surroundings are lit: (B, 25), whatever the size of the pictures.
+
+    Means and standard deviations of the logarithm of linear RGB: of the object in the composite; of the background
+    round it, behind it and everywhere; and the logarithm of the object's share of the picture.
+    """
+    composite, background, mask = (
+        functional.adaptive_avg_pool2d(x, GLANCE) for x in (srgb_to_linear(composite), srgb_to_linear(background), mask)
+    )
+    found = [mask.mean((2, 3)).clamp(min=1e-4).log()]
+    surely = (mask > 0.0).to(mask.dtype)
+    around = largest_near(surely, NEAR) - surely
+    for image, weight in ((composite, mask), (background, around), (background, mask), (background, mask * 0 + 1)):
+        logs, total = (image + DARK).log(), weight.sum((2, 3), keepdim=True) + 1e-3
+        mean = (logs * weight).sum((2, 3), keepdim=True) / total
+        spread = ((logs - mean) ** 2 * weight).sum((2, 3), keepdim=True) / total
+        found += [mean.flatten(1), (spread + 1e-6).sqrt().flatten(1)]
+    return torch.cat(found, dim=1)
+
+
 class Compositing2D(nn.Module):
     """Composite, background and depth to the harmonized picture, at any size."""
 
@@ -217,8 +241,14 @@ class Compositing2D(nn.Module):
         scale = self.backbone.scale
         channels = GAIN_CHANNELS if config.head == "gain" else 3 * scale**2
         self.head = nn.Conv2d(self.backbone.features, channels, 3, padding=1)
+        ends = list(self.head.parameters())
+        if config.head == "gain":  # what is to be changed everywhere alike, which is learnt first
+            known, width = STATISTICS + self.backbone.features, 128
+            last = nn.Linear(width, channels)
+            self.overall = nn.Sequential(nn.Linear(known, width), nn.GELU(), nn.Linear(width, width), nn.GELU(), last)
+            ends += last.parameters()
         if config.head != "direct":  # an untrained network returns the composite
-            for parameter in self.head.parameters():
+            for parameter in ends:
                 nn.init.zeros_(parameter)
         for parameter in self.parameters():  # as the activations lie, so that nothing is reordered
             if parameter.ndim == 4:
@@ -262,10 +292,15 @@ class Compositing2D(nn.Module):
         x = torch.cat((composite, background, depth, *cues), dim=1)
         multiple, scale = self.backbone.multiple, self.backbone.scale
         x = functional.pad(x, (0, -w % multiple, 0, -h % multiple), mode="replicate")
-        maps = self.head(self.backbone(x.contiguous(memory_format=torch.channels_last)))
-        if self.config.head == "gain":
-            return maps[..., : -(-h // scale), : -(-w // scale)].float()
-        return functional.pixel_shuffle(maps, scale)[..., :h, :w].float()
+        features = self.backbone(x.contiguous(memory_format=torch.channels_last))
+        maps = self.head(features)
+        if self.config.head != "gain":
+            return functional.pixel_shuffle(maps, scale)[..., :h, :w].float()
+        rows, columns = -(-h // scale), -(-w // scale)
+        inside = functional.adaptive_avg_pool2d(mask, (rows, columns))
+        of_object = (features[..., :rows, :columns] * inside).sum((2, 3)) / (inside.sum((2, 3)) + 1e-3)
+        seen = torch.cat((statistics(composite, background, mask), of_object), dim=1)
+        return (maps[..., :rows, :columns] + self.overall(seen)[..., None, None]).float()
 
 
 def apply_gains(maps: Tensor, composite: Tensor, background: Tensor, mask: Tensor) -> Tensor:
