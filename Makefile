@@ -44,7 +44,7 @@ train: .venv/installed-train assets
 	$(MULTILIGHT) dataset --config model/configs/data.toml --out out/training
 	$(MULTILIGHT) pack out/training --out out/training-packed
 	$(MULTILIGHT) train model/configs/slim.toml --data out/training-packed --out out/slim
-	$(MULTILIGHT) evaluate out/training-packed --weights out/slim/model.safetensors --out out/slim/evaluation
+	$(MULTILIGHT) evaluate out/training-packed --size 192 --weights out/slim/model.safetensors --out out/slim/evaluation
 
 check: .venv/installed-dev
 	$(BIN)/ruff format --check

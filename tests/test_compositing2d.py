@@ -3,14 +3,18 @@
 import pytest
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from model.compositing2d import (
+    DARK,
+    STATISTICS,
     Block,
     Compositing2D,
     WindowAttention,
     apply_gains,
     from_windows,
     shift_mask,
+    statistics,
     windows_of,
 )
 from model.config import NETWORKS, NetworkConfig
@@ -181,3 +185,25 @@ def test_a_block_keeps_its_shape_and_mixes_windows_only_through_the_summary() ->
     assert attended[:, :4, :4].abs().min() > 0
     assert torch.all(attended[:, 4:] == 0)
     assert torch.all(attended[:, :, 4:] == 0)
+
+
+def test_statistics_say_how_object_and_surroundings_are_lit() -> None:
+    """A grey square on a wall that is brighter on the left, at two sizes of the picture."""
+    background = torch.full((1, 3, 128, 128), 0.5)
+    background[..., :64] = 0.8
+    mask = torch.zeros(1, 1, 128, 128)
+    mask[..., 48:80, 80:112] = 1.0
+    composite = torch.where(mask > 0, torch.tensor(0.3), background)
+    found = statistics(composite, background, mask)
+    assert found.shape == (1, STATISTICS)
+    share, of_object, spread, around = found[0, 0], found[0, 1:4], found[0, 4:7], found[0, 7:10]
+    everywhere, spread_everywhere = found[0, 19:22], found[0, 22:25]
+    dim, bright = ((srgb_to_linear(torch.tensor(level)) + DARK).log() for level in (0.5, 0.8))
+    torch.testing.assert_close(share, torch.tensor(1 / 16).log())
+    torch.testing.assert_close(of_object, (srgb_to_linear(torch.tensor(0.3)) + DARK).log().expand(3), atol=1e-4, rtol=0)
+    assert (spread < 2e-3).all()
+    torch.testing.assert_close(around, dim.expand(3), atol=1e-3, rtol=0)  # the square's own half is the dim one
+    torch.testing.assert_close(everywhere, ((dim + bright) / 2).expand(3), atol=1e-3, rtol=0)
+    torch.testing.assert_close(spread_everywhere, ((bright - dim) / 2).expand(3), atol=1e-3, rtol=0)
+    larger = (functional.interpolate(x, scale_factor=2.0) for x in (composite, background, mask))
+    torch.testing.assert_close(statistics(*larger), found, atol=1e-4, rtol=0)
