@@ -101,7 +101,7 @@ class DatasetSource:
 
         Of a remote dataset it is a copy: in the cache's folder, or gone afterwards where there is none.
         """
-        if "file" in self._protocols:
+        if self.is_local:
             yield Path(self.root) / name
         elif self.cache is not None:
             yield self._cached(self.cache, name)
@@ -114,7 +114,7 @@ class DatasetSource:
     @contextlib.contextmanager
     def local_scene(self, index: int) -> Iterator[Path]:
         """Lend a scene's folder as a local one: its record and all its views; copies where the dataset is remote."""
-        if "file" in self._protocols:
+        if self.is_local:
             yield Path(self.root) / _folder(index)
             return
         with tempfile.TemporaryDirectory(prefix="multilight-") as temporary:
@@ -123,6 +123,11 @@ class DatasetSource:
                 (folder / name).parent.mkdir(parents=True, exist_ok=True)
                 (folder / name).write_bytes(self._bytes(f"{_folder(index)}/{name}"))
             yield folder
+
+    @property
+    def is_local(self) -> bool:
+        """Whether the dataset is a folder of this machine."""
+        return "file" in self._protocols
 
     @property
     def _protocols(self) -> tuple[str, ...]:

@@ -4,6 +4,7 @@ import contextlib
 import hashlib
 import os
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 
 import polars as pl
@@ -37,7 +38,7 @@ class TrainingSource:
             name = packed_file(scene, number)
             with self.source.local(name) as path:
                 try:
-                    return read_packed(path)
+                    return _mapped(path) if self.source.is_local else read_packed(path)
                 except StoreError as error:
                     raise StoreError(str(error).replace(str(path), f"{self.source.address}/{name}")) from None
         record = self.source.scene(scene)
@@ -64,6 +65,20 @@ def open_training(address: str | Path, *, where: str | None = None) -> TrainingS
         visible = _seen_before(source)
     chosen = visible.filter(pl.col("scene").is_in(list(source.indices)))
     return TrainingSource(source, packed, source.table, chosen)
+
+
+def _mapped(path: Path) -> PackedView:
+    """Read a packed view, or return it where it is mapped already and the file is the same still."""
+    try:
+        about = path.stat()
+    except OSError:
+        return read_packed(path)  # which says what is wrong
+    return _read_once(path, about.st_size, about.st_mtime_ns)
+
+
+@lru_cache(maxsize=1024)
+def _read_once(path: Path, size: int, changed: int) -> PackedView:
+    return read_packed(path)
 
 
 def packed_file(scene: int, number: int) -> str:

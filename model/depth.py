@@ -2,13 +2,16 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import onnxruntime
 from numpy.typing import NDArray
 
 from datagen.errors import UserError
 from model.pictures import resized
+
+if TYPE_CHECKING:
+    import onnxruntime
 
 Float32 = NDArray[np.float32]
 
@@ -54,11 +57,18 @@ class DepthModel:
     """
 
     path: Path
-    session: onnxruntime.InferenceSession = field(repr=False)
+    session: "onnxruntime.InferenceSession" = field(repr=False)
 
     @classmethod
     def load(cls, path: Path) -> "DepthModel":
-        """Open a model; raises `UserError` where the file is missing, no ONNX model, or of another layout."""
+        """Open a model; raises `UserError` where the file is missing, no ONNX model, or of another layout.
+
+        onnxruntime is imported here: training and evaluation do without it.
+        """
+        try:
+            import onnxruntime
+        except ModuleNotFoundError:
+            raise UserError("depth models need onnxruntime: pip install 'multilight[captures]'") from None
         if not path.is_file():
             raise UserError(f"depth model {path} does not exist")
         try:
