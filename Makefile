@@ -2,7 +2,7 @@
 #   make dataset    sets up, fetches assets, renders a small dataset, verifies it, makes a contact sheet
 #   make test       sets up and runs every test
 # And:
-#   make train      renders or reuses a training set, trains the slim 2D model for 20 minutes, evaluates it on what it has never seen
+#   make train      renders or reuses a training set, trains the slim 2D model for 15 minutes, evaluates it on what it has never seen
 # Variables: make dataset OUT=… SCENES=… SEED=… WORKERS=… CONFIG=…
 
 OUT ?= out/dataset

@@ -25,6 +25,7 @@ GLANCE = 64  # pixels a side at which a picture's statistics are taken
 NEAR = 15  # of them: the object's neighbourhood is what a square of that side reaches
 DARK = 0.02  # linear light added before logarithms are taken
 STATISTICS = 25
+LEAST_LOG_GAIN, LEAST_OFFSET = 0.02, 0.002  # outside the object, less is no shadow or glow, but uncertainty
 GAIN_CHANNELS = 12  # log-gain and offset in RGB, for the object and for its surroundings
 
 
@@ -242,9 +243,9 @@ class Compositing2D(nn.Module):
         channels = GAIN_CHANNELS if config.head == "gain" else 3 * scale**2
         self.head = nn.Conv2d(self.backbone.features, channels, 3, padding=1)
         ends = list(self.head.parameters())
-        if config.head == "gain":  # what is to be changed everywhere alike, which is learnt first
+        if config.head == "gain":  # what is to be changed all over the object alike, which is learnt first
             known, width = STATISTICS + self.backbone.features, 128
-            last = nn.Linear(width, channels)
+            last = nn.Linear(width, GAIN_CHANNELS // 2)
             self.overall = nn.Sequential(nn.Linear(known, width), nn.GELU(), nn.Linear(width, width), nn.GELU(), last)
             ends += last.parameters()
         if config.head != "direct":  # an untrained network returns the composite
@@ -300,7 +301,17 @@ class Compositing2D(nn.Module):
         inside = functional.adaptive_avg_pool2d(mask, (rows, columns))
         of_object = (features[..., :rows, :columns] * inside).sum((2, 3)) / (inside.sum((2, 3)) + 1e-3)
         seen = torch.cat((statistics(composite, background, mask), of_object), dim=1)
-        return (maps[..., :rows, :columns] + self.overall(seen)[..., None, None]).float()
+        inner, outer = maps[..., :rows, :columns].chunk(2, dim=1)
+        inner = inner + self.overall(seen)[..., None, None]
+        if not self.training:  # where it would have no gradient
+            outer = without_least(outer)
+        return torch.cat((inner, outer), dim=1).float()
+
+
+def without_least(outer: Tensor) -> Tensor:
+    """Draw log-gains and offsets of the surroundings (B, 6, h, w) towards none by the least that counts."""
+    log_gain, offset = outer.chunk(2, dim=1)
+    return torch.cat((functional.softshrink(log_gain, LEAST_LOG_GAIN), functional.softshrink(offset, LEAST_OFFSET)), 1)
 
 
 def apply_gains(maps: Tensor, composite: Tensor, background: Tensor, mask: Tensor) -> Tensor:

@@ -94,7 +94,7 @@ class LossConfig(Frozen):
     """Weight of the perceptual distance."""
     vgg: Path | None = None
     """VGG19 weights (torchvision .pth or MatConvNet .mat); without: a stand-in, gradients and SSIM."""
-    far: Positive = 0.1
+    far: Positive = 0.5
     """Weight of a pixel that the object does not change, against 1 on the object."""
 
 

@@ -7,6 +7,8 @@ from torch.nn import functional
 
 from model.compositing2d import (
     DARK,
+    LEAST_LOG_GAIN,
+    LEAST_OFFSET,
     STATISTICS,
     Block,
     Compositing2D,
@@ -207,3 +209,18 @@ def test_statistics_say_how_object_and_surroundings_are_lit() -> None:
     torch.testing.assert_close(spread_everywhere, ((bright - dim) / 2).expand(3), atol=1e-3, rtol=0)
     larger = (functional.interpolate(x, scale_factor=2.0) for x in (composite, background, mask))
     torch.testing.assert_close(statistics(*larger), found, atol=1e-4, rtol=0)
+
+
+def test_faint_changes_far_from_the_object_are_none() -> None:
+    """In use, that is; in training they are the way to larger ones."""
+    composite, background, depth = pictures(64, 64)
+    mask = soft_mask(composite, background)
+    network = Compositing2D(TINY)
+    with torch.no_grad():
+        network.head.bias[6:9] = 0.9 * LEAST_LOG_GAIN
+        network.head.bias[9:] = -0.9 * LEAST_OFFSET
+        assert (network.train()(composite, background, depth, mask) != composite).any()
+        torch.testing.assert_close(network.eval()(composite, background, depth, mask), composite, atol=1e-5, rtol=0)
+        network.head.bias[6:9] = 3 * LEAST_LOG_GAIN
+        outside = (mask == 0).expand_as(composite)
+        assert (network.eval()(composite, background, depth, mask) > composite + 1e-3)[outside].float().mean() > 0.9
