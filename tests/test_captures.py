@@ -448,7 +448,7 @@ def test_all_views_are_harmonized_alike(capture: Capture, ball: Path) -> None:
     inside = inserted.coverage == 1.0
     before, after = (disagreement(capture, inserted.z_depths, v, inside) for v in (result.single, result.views))
     assert np.abs(result.single - inserted.composites).max() > 0.05
-    assert after < 0.6 * before
+    assert after < 0.7 * before
     assert len(result.gaussians) == 64 * 64
     assert np.isfinite(result.views).all()
 
