@@ -79,7 +79,7 @@ class Trainer:
         stages = self.config.stages
         parameters = sum(p.numel() for p in self.network.parameters())
         log.line(
-            f"training {parameters / 1e6:.2f} M parameters on {self.device.type}, loss mse + {self.loss.label}, "
+            f"training {parameters / 1e6:.2f} M parameters on {self.device.type}, loss {self.config.loss.pixels} + {self.loss.label}, "
             f"from step {self.progress.step}"
         )
         watched = validation_batches(self.config.data, stages[-1], self.device) if self.share.rank == 0 else []
