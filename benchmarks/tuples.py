@@ -14,7 +14,7 @@ its variants, and counted for all.
 Choose scenes whose references converge with `--reference-spp`: with glass and enclosed lamps what noise is left in the
 reference, not the ways, decides how many decibels are reached.
 
-    python -m benchmarks.tuples --cases tabletop:1 studio:1
+    python -m benchmarks.tuples --cases tabletop:7 studio:1
 """
 
 import time
@@ -48,7 +48,7 @@ LEAST_SPP = 8
 class Options:
     """What to measure."""
 
-    cases: tuple[str, ...] = ("tabletop:1", "studio:1")
+    cases: tuple[str, ...] = ("tabletop:7", "studio:1")
     """Kinds of scene and seeds."""
     size: int = 96
     view: int = 6
