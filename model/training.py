@@ -79,8 +79,8 @@ class Trainer:
         stages = self.config.stages
         parameters = sum(p.numel() for p in self.network.parameters())
         log.line(
-            f"training {parameters / 1e6:.2f} M parameters on {self.device.type}, loss {self.config.loss.pixels} + {self.loss.label}, "
-            f"from step {self.progress.step}"
+            f"training {parameters / 1e6:.2f} M parameters on {self.device.type}, "
+            f"loss {self.config.loss.pixels} + {self.loss.label}, from step {self.progress.step}"
         )
         watched = validation_batches(self.config.data, stages[-1], self.device) if self.share.rank == 0 else []
         try:
