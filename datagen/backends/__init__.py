@@ -19,7 +19,8 @@ RendererName = Literal["mitsuba", "cycles", "analytic"]
 
 
 class RenderSettings(Frozen):
-    """How to render: samples a pixel, path length, CPU threads (0: all cores)."""
+    """How to render: samples a pixel (on average, where the renderer shares them out), path length, CPU threads
+    (0: all cores)."""
 
     spp: PositiveInt = 16
     max_bounces: PositiveInt = 8

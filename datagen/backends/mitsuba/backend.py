@@ -1,5 +1,6 @@
 """`MitsubaBackend`: one job in, one `LayerStack` out; a view's variants come from one set of paths."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from types import TracebackType
 from typing import Self
@@ -7,13 +8,14 @@ from typing import Self
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.backends import BackendError, RenderJob, RenderSettings, split_variant
+from datagen.backends.mitsuba.adaptive import FIRST, Blocks, first_blocks, further_blocks
 from datagen.backends.mitsuba.arrays import Textures, scene_arrays
 from datagen.backends.mitsuba.bsdf import Tables
 from datagen.backends.mitsuba.cameras import Lens
 from datagen.backends.mitsuba.device import on_device
+from datagen.backends.mitsuba.film import Film, Key, Values
 from datagen.backends.mitsuba.geometry import geometry_buffers
 from datagen.backends.mitsuba.integrator import Book, World, trace
 from datagen.backends.mitsuba.lights import emitters_of
@@ -148,58 +150,70 @@ class _Synced:
 
     def _render(self, number: int, settings: RenderSettings) -> _Pictures:
         camera = self.scene.cameras[number]
+        film = Film(camera.height, camera.width)
         lens = Lens(camera)
-        pixels = camera.width * camera.height
-        at_once = max(1, LANES // pixels)
-        total: dict[tuple[str, str], Float32] = {}
-        for first in range(0, settings.spp, at_once):
-            count = min(at_once, settings.spp - first)
-            batch = _Batch(self, lens, camera, settings, (number, first, count))
-            for key, sums in batch.sums().items():
-                total[key] = total[key] + sums if key in total else sums
-        means = {key: np.divide(sums, settings.spp, dtype=np.float32) for key, sums in total.items()}
+
+        def batches(blocks: Blocks) -> Iterator[_Batch]:
+            at_once = max(1, LANES // blocks.size)
+            for start in range(0, len(blocks), at_once):
+                part = blocks[start : start + at_once]
+                batch = _Batch(self, lens, camera, settings, (number, part))
+                film.add(part, batch.values())
+                yield batch
+
+        first = first_blocks(camera.width * camera.height, settings.spp)
+        grey = np.concatenate([batch.grey() for batch in batches(first)], axis=-1)
+        if settings.spp > first.size:
+            guides = np.concatenate([film.mean(("albedo", ""))[0], film.mean(("normal", ""))[0]], axis=-1)
+            grey = grey.reshape(-1, camera.height, camera.width, FIRST)
+            for _ in batches(further_blocks(first, grey, guides, settings.spp)):
+                pass
         names = self.scene.insertable
         return _Pictures(
-            everything=means["all", ""],
-            albedo=means["albedo", ""][0],
-            normal=means["normal", ""][0],
-            uncovered=means["uncovered", ""][0, ..., 0],
-            without={name: means["without", name] for name in names},
-            guides={name: means["without guides", name] for name in names},
-            foreground={name: means["foreground", name] for name in names},
-            coverage={name: means["coverage", name][0, ..., 0] for name in names},
+            everything=film.mean(("all", "")),
+            albedo=film.mean(("albedo", ""))[0],
+            normal=film.mean(("normal", ""))[0],
+            uncovered=film.mean(("uncovered", ""))[0, ..., 0],
+            without={name: film.mean(("without", name)) for name in names},
+            guides={name: film.mean(("without guides", name)) for name in names},
+            foreground={name: film.mean(("foreground", name)) for name in names},
+            coverage={name: film.mean(("coverage", name))[0, ..., 0] for name in names},
         )
 
 
 class _Batch:
-    """Some samples of each pixel of a view, next to each other."""
+    """Some samples of a view's pixels, block after block."""
 
     def __init__(
-        self, synced: _Synced, lens: Lens, camera: Camera, settings: RenderSettings, part: tuple[int, int, int]
+        self, synced: _Synced, lens: Lens, camera: Camera, settings: RenderSettings, part: tuple[int, Blocks]
     ) -> None:
         self._synced, self._lens, self._camera, self._settings = synced, lens, camera, settings
-        number, self._first, self._count = part
+        number, blocks = part
+        self._size = blocks.size
+        self._pixel, self._first = on_device(mi.UInt32, blocks.pixel), on_device(mi.UInt32, blocks.first)
         # One seed for all variants of a view.
         self._seed = dr.opaque(mi.UInt32, (synced._seed + number) % 2**32)
+        self._book = self._trace(None, dr.arange(mi.UInt32, len(blocks) * blocks.size))
 
-    def sums(self) -> dict[tuple[str, str], Float32]:
-        """Trace, and add up each pixel's samples: (variant, object) → (layers, H, W, 3)."""
-        scene, count = self._synced.scene, self._count
-        book = self._trace(None, dr.arange(mi.UInt32, self._camera.width * self._camera.height * count))
-        sums = {
-            ("all", ""): self._summed(book.layers),
-            ("albedo", ""): self._summed([book.albedo]),
-            ("normal", ""): self._summed([book.normal]),
-            ("uncovered", ""): self._summed([mi.Color3f(dr.select(book.covered, mi.Float(0), 1))]),
-        }
+    def values(self) -> Iterator[tuple[Key, Values]]:
+        """Give what the samples bring to each variant and mask of an object."""
+        scene, book = self._synced.scene, self._book
+        yield ("all", ""), book.layers
+        yield ("albedo", ""), [book.albedo]
+        yield ("normal", ""), [book.normal]
+        yield ("uncovered", ""), [mi.Color3f(dr.select(book.covered, mi.Float(0), 1))]
         for place, name in enumerate(scene.insertable):
             mine = book.first == scene.instance_id(name)
-            sums["coverage", name] = self._summed([mi.Color3f(dr.select(mine, mi.Float(1), 0))])
-            sums["foreground", name] = self._summed([dr.select(mine, layer, 0) for layer in book.layers])
+            yield ("coverage", name), [mi.Color3f(dr.select(mine, mi.Float(1), 0))]
+            yield ("foreground", name), [dr.select(mine, layer, 0) for layer in book.layers]
             *layers, albedo, normal = self._without(book, name, place)
-            sums["without", name] = self._summed(layers)
-            sums["without guides", name] = self._summed([albedo, normal])
-        return sums
+            yield ("without", name), layers
+            yield ("without guides", name), [albedo, normal]
+
+    def grey(self) -> Float32:
+        """Return what the samples of each of N blocks add up to in variant `all`, without hue, (L, N)."""
+        sums = [np.array(dr.block_sum(dr.mean(layer), self._size)) for layer in self._book.layers]
+        return np.stack(sums)
 
     def _without(self, book: Book, name: str, place: int) -> list[mi.Color3f]:
         """Trace again, without an object, the samples that met it; the others are what they were.
@@ -218,11 +232,11 @@ class _Batch:
         return layers
 
     def _trace(self, removed: str | None, index: mi.UInt32) -> Book:
-        count, width = dr.opaque(mi.UInt32, self._count), dr.opaque(mi.UInt32, self._camera.width)
-        pixel = index // count
-        sample = index - pixel * count + dr.opaque(mi.UInt32, self._first)
-        bits = max(1, (self._settings.spp - 1).bit_length())
-        sampler = Sampler(stream_of(pixel, self._seed), sample, bits)
+        size, width = dr.opaque(mi.UInt32, self._size), dr.opaque(mi.UInt32, self._camera.width)
+        block = index // size
+        pixel = dr.gather(mi.UInt32, self._pixel, block)
+        sample = dr.gather(mi.UInt32, self._first, block) + (index - block * size)
+        sampler = Sampler(stream_of(pixel, self._seed), sample)
         inside = sampler.next_2d(FILM, BEFORE_PATHS)
         row = pixel // width
         film = mi.Point2f(mi.Float(pixel - row * width) + inside.x, mi.Float(row) + inside.y)
@@ -230,9 +244,3 @@ class _Batch:
         book = trace(self._synced._worlds[removed], ray, sampler, max_bounces=self._settings.max_bounces)
         dr.eval(book.layers, book.met, book.first, book.covered, book.albedo, book.normal)
         return book
-
-    def _summed(self, values: list[mi.Color3f] | list[mi.Normal3f]) -> NDArray[np.float32]:
-        """Add up each pixel's samples, always in the same order, to (n, H, W, 3) float32."""
-        shape = (3, self._camera.height, self._camera.width)
-        sums = [np.array(dr.block_sum(mi.Vector3f(value), self._count)).reshape(shape) for value in values]
-        return np.ascontiguousarray(np.stack(sums).transpose(0, 2, 3, 1))

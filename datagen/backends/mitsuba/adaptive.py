@@ -1,0 +1,113 @@
+"""Adaptive sampling: the pixels that need more samples get more, and the mean over a view is what was asked for.
+
+A picture's mean squared error is smallest where each pixel's number of samples is proportional to the standard
+deviation that one of them brings (Neyman 1934, optimal allocation). A denoiser divides a pixel's variance further, by
+the number of neighbours that look alike to it, so that is counted in. Where little varies, Sobol' points converge
+faster than that rule knows, so a share goes to all pixels alike. Samples come in blocks, each of them well distributed
+in itself (a power of two of Sobol' points): FIRST for every pixel, whose differences tell the variance, and then the
+rest where they serve most.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
+
+from datagen.layers import Float32
+
+FIRST = 4
+"""Blocks for every pixel."""
+USUAL = 8
+"""Blocks a pixel on average, at least."""
+MOST = 8
+"""Times the mean number of samples that one pixel gets at most."""
+EVEN = 0.6
+"""What every pixel needs, in units of the mean need."""
+WINDOW = 5  # pixels: where variance is estimated, and where a denoiser finds what looks alike
+ALIKE = 0.2  # standard deviation of the kernel by which guides (albedo, normal) are compared
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """Blocks of `size` samples, pixel by pixel: each one's `pixel` (N,) uint32 and `first` sample (N,) uint32."""
+
+    size: int
+    pixel: NDArray[np.uint32]
+    first: NDArray[np.uint32]
+
+    def __len__(self) -> int:
+        return len(self.pixel)
+
+    def __getitem__(self, part: slice) -> "Blocks":
+        return Blocks(self.size, self.pixel[part], self.first[part])
+
+
+def blocks_of(counts: NDArray[np.integer], size: int, *, after: int = 0) -> Blocks:
+    """Return `counts` (P,) blocks for each pixel that has had `after` of them."""
+    ends = np.cumsum(counts)
+    pixel = np.repeat(np.arange(len(counts), dtype=np.uint32), counts)
+    place = np.arange(len(pixel)) - np.repeat(ends - counts, counts) + after
+    return Blocks(size, pixel, (place * size).astype(np.uint32))
+
+
+def first_blocks(pixels: int, spp: int) -> Blocks:
+    """Return the blocks to begin with; where `spp` is too small to be shared out, all of them."""
+    if spp < USUAL:
+        return blocks_of(np.ones(pixels, np.int64), spp)
+    return blocks_of(np.full(pixels, FIRST), 1 << (spp // USUAL).bit_length() - 1)
+
+
+def further_blocks(first: Blocks, grey: Float32, guides: Float32, spp: int) -> Blocks:
+    """Share out what is left of `spp` samples a pixel.
+
+    `grey` (L, H, W, FIRST) is what the `first` blocks add up to in each layer, `guides` (H, W, G) what a denoiser
+    goes by.
+    """
+    height, width, _ = guides.shape
+    need = (_noise(grey) / np.sqrt(_alike(guides))).ravel()
+    left = spp * height * width // first.size - len(first)
+    return blocks_of(_shared_out(need, left, MOST * spp // first.size), first.size, after=FIRST)
+
+
+def _noise(grey: Float32) -> Float32:
+    """Return a block's standard deviation over the local brightness, with all lights on, (H, W).
+
+    The variance is that of a pixel's neighbours, not its own: a number of samples that depends on what they show
+    would bias their mean.
+    """
+    mean = grey.mean(axis=-1).sum(axis=0)
+    variance = grey.var(axis=-1, ddof=1).sum(axis=0)
+    relative = variance / np.square(uniform_filter(mean, 3) + mean.mean() + 1e-30)
+    around = uniform_filter(relative, WINDOW) * WINDOW**2 - relative
+    return np.sqrt(np.maximum(around, 0) / (WINDOW**2 - 1))
+
+
+def _alike(guides: Float32) -> Float32:
+    """Return how many pixels of the window look like the one in its centre, by a Gaussian kernel, (H, W)."""
+    reach = WINDOW // 2
+    height, width, _ = guides.shape
+    padded = np.pad(guides, ((reach, reach), (reach, reach), (0, 0)), mode="edge")
+    found = np.zeros((height, width), np.float32)
+    for down in range(WINDOW):
+        for right in range(WINDOW):
+            away = padded[down : down + height, right : right + width] - guides
+            found += np.exp(np.square(away).sum(axis=-1) / (-2 * ALIKE**2))
+    return found
+
+
+def _shared_out(need: Float32, blocks: int, most: int) -> NDArray[np.int64]:
+    """Return how many of `blocks` each pixel gets beyond FIRST, so that with these they follow its need, (P,).
+
+    None gets more than `most`, so some blocks may be left over.
+    """
+    need = need / max(float(need.mean()), 1e-30) + EVEN
+
+    def counts(scale: float) -> NDArray[np.int64]:
+        return np.clip(np.rint(scale * need - FIRST), 0, most).astype(np.int64)
+
+    low, high = 0.0, 1e3 * (most + FIRST + 1)
+    while high - low > 1e-6 * high:
+        middle = (low + high) / 2
+        low, high = (middle, high) if counts(middle).sum() <= blocks else (low, middle)
+    return counts(low)

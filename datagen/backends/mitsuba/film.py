@@ -1,0 +1,55 @@
+"""The film: sums over samples, pixel by pixel, of which each may have another number."""
+
+from collections.abc import Iterable
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.backends.mitsuba.adaptive import Blocks
+from datagen.backends.mitsuba.device import on_device
+from datagen.layers import Float32
+
+Key = tuple[str, str]
+"""A variant or a mask, and the object that it is of."""
+Values = list[mi.Color3f] | list[mi.Normal3f]
+"""What samples bring, one lane each."""
+
+
+class Film:
+    """What a view's samples add up to; always in the same order, so to the same bits."""
+
+    def __init__(self, height: int, width: int) -> None:
+        self._shape = height, width
+        self._samples: NDArray[np.int64] = np.zeros(height * width, np.int64)
+        self._sums: dict[Key, list[mi.Float]] = {}
+
+    def add(self, blocks: Blocks, values: Iterable[tuple[Key, Values]]) -> None:
+        """Add the samples of some blocks."""
+        counts = np.bincount(blocks.pixel, minlength=self._samples.size)
+        self._samples += counts * blocks.size
+        count = on_device(mi.UInt32, counts.astype(np.uint32))
+        first = on_device(mi.UInt32, (np.cumsum(counts) - counts).astype(np.uint32))
+        for key, several in values:
+            sums = [dr.block_sum(channel, blocks.size) for value in several for channel in value]
+            before = self._sums.get(key, [dr.zeros(mi.Float, self._samples.size) for _ in sums])
+            self._sums[key] = _added(before, sums, first, count)
+
+    def mean(self, key: Key) -> Float32:
+        """Return means over each pixel's samples, (n, H, W, 3)."""
+        sums = np.stack([np.array(channel) for channel in self._sums[key]])
+        means = (sums / self._samples.astype(np.float32)).reshape(-1, 3, *self._shape)
+        return np.ascontiguousarray(means.transpose(0, 2, 3, 1))
+
+
+def _added(before: list[mi.Float], sums: list[mi.Float], first: mi.UInt32, count: mi.UInt32) -> list[mi.Float]:
+    """Add to each pixel the sums of its blocks, which are `count` from the `first` on."""
+
+    def step(totals, place):  # type: ignore[no-untyped-def]
+        more = (dr.gather(mi.Float, channel, first + place) for channel in sums)
+        return [total + one for total, one in zip(totals, more, strict=True)], place + 1
+
+    totals, _ = dr.while_loop((before, mi.UInt32(0)), lambda _, place: place < count, step, label="film")
+    dr.eval(totals)
+    return totals
