@@ -71,7 +71,7 @@ class DatasetConfig(Frozen):
     views: Annotated[int, Field(ge=1, le=100)] = 16
     """Views a scene."""
     spp: Annotated[int, Field(ge=1, le=65536)] = 16
-    """Samples a pixel; with Mitsuba their mean, for noisy pixels get more of them."""
+    """Samples a pixel; Mitsuba spends what so many cost where there is noise."""
     denoise: Literal["auto", "on", "off"] = "auto"
     """Denoise each layer (Intel Open Image Denoise); `auto` does so below 2048 samples a pixel."""
     keep_raw: bool = False

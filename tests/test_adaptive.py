@@ -72,11 +72,12 @@ def test_film_adds_up_each_pixels_blocks():
     np.testing.assert_allclose(film.mean(("all", ""))[0], (total / samples[:, None]).reshape(3, 4, 3), rtol=1e-6)
 
 
-def shared_out(grey, guides, spp):
+def shared_out(grey, guides, spp, cost=1.0):
     """Share out the rest of `spp` samples; returns each pixel's samples, (H, W)."""
     height, width, _ = guides.shape
     first = first_blocks(height * width, spp)
-    further = further_blocks(first, grey.astype(np.float32), guides.astype(np.float32), spp)
+    costs = np.broadcast_to(np.float32(cost), (height, width))
+    further = further_blocks(first, grey.astype(np.float32), costs, guides.astype(np.float32), spp)
     _is_followed(first, further)
     counts = np.bincount(first.pixel, minlength=height * width) + np.bincount(further.pixel, minlength=height * width)
     return counts.reshape(height, width) * first.size
@@ -108,6 +109,14 @@ def test_samples_go_where_a_denoiser_finds_little_that_looks_alike():
     guides[:, 32:, :3] = rng.random((48, 32, 3))
     samples = shared_out(grey, guides, 32)
     assert samples[:, 36:].mean() > 1.3 * samples[:, :28].mean()
+
+
+def test_costly_pixels_get_fewer_samples_and_all_cost_what_was_asked_for():
+    grey = 1 + 0.1 * np.random.default_rng(4).standard_normal((1, 48, 64, FIRST))
+    cost = np.where(np.arange(64) < 32, 1.0, 4.0) * np.ones((48, 1))
+    samples = shared_out(grey, np.zeros((48, 64, 6)), 64, cost)
+    assert 1.7 < samples[:, :28].mean() / samples[:, 36:].mean() < 2.1  # the root of four; a pixel gets at least half
+    assert (samples * cost).sum() == pytest.approx(64 * cost.sum(), rel=0.03)
 
 
 def test_a_pixels_own_noise_brings_it_no_samples():
@@ -147,6 +156,9 @@ def test_as_many_samples_show_less_noise(backend, monkeypatch):
             found.append(((stack.combined - converged) / (converged + converged.mean())) ** 2)
         return float(np.mean(found))
 
+    def _alike_for_all(need, cost, budget, most):
+        return np.full(need.shape, round(budget / cost.sum()))
+
     shared = error()
-    monkeypatch.setattr(adaptive, "_shared_out", lambda need, blocks, most: np.full(need.shape, blocks // need.size))
+    monkeypatch.setattr(adaptive, "_shared_out", _alike_for_all)
     assert shared < 0.9 * error()

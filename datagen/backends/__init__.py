@@ -19,7 +19,7 @@ RendererName = Literal["mitsuba", "cycles", "analytic"]
 
 
 class RenderSettings(Frozen):
-    """How to render: samples a pixel (on average, where the renderer shares them out), path length, CPU threads
+    """How to render: samples a pixel (or other numbers at their cost, where that is better), path length, CPU threads
     (0: all cores)."""
 
     spp: PositiveInt = 16

@@ -1,11 +1,11 @@
-"""Adaptive sampling: the pixels that need more samples get more, and the mean over a view is what was asked for.
+"""Adaptive sampling: the pixels that need more samples get more, for the cost of as many for each as was asked for.
 
 A picture's mean squared error is smallest where each pixel's number of samples is proportional to the standard
-deviation that one of them brings (Neyman 1934, optimal allocation). A denoiser divides a pixel's variance further, by
-the number of neighbours that look alike to it, so that is counted in. Where little varies, Sobol' points converge
-faster than that rule knows, so a share goes to all pixels alike. Samples come in blocks, each of them well distributed
-in itself (a power of two of Sobol' points): FIRST for every pixel, whose differences tell the variance, and then the
-rest where they serve most.
+deviation that one of them brings, over the root of what it costs (Neyman 1934, optimal allocation). A denoiser divides
+a pixel's variance further, by the number of neighbours that look alike to it, so that is counted in. Where little
+varies, Sobol' points converge faster than that rule knows, so a share goes to all pixels alike. Samples come in
+blocks, each of them well distributed in itself (a power of two of Sobol' points): FIRST for every pixel, whose
+differences tell the variance, and then the rest where they serve most.
 """
 
 from dataclasses import dataclass
@@ -58,16 +58,17 @@ def first_blocks(pixels: int, spp: int) -> Blocks:
     return blocks_of(np.full(pixels, FIRST), 1 << (spp // USUAL).bit_length() - 1)
 
 
-def further_blocks(first: Blocks, grey: Float32, guides: Float32, spp: int) -> Blocks:
-    """Share out what is left of `spp` samples a pixel.
+def further_blocks(first: Blocks, grey: Float32, cost: Float32, guides: Float32, spp: int) -> Blocks:
+    """Share out what is left of the cost of `spp` samples for each pixel.
 
-    `grey` (L, H, W, FIRST) is what the `first` blocks add up to in each layer, `guides` (H, W, G) what a denoiser
-    goes by.
+    `grey` (L, H, W, FIRST) is what the `first` blocks add up to in each layer, `cost` (H, W) what one costs,
+    `guides` (H, W, G) what a denoiser goes by.
     """
     height, width, _ = guides.shape
+    cost = uniform_filter(cost, WINDOW).ravel()
     need = (_noise(grey) / np.sqrt(_alike(guides))).ravel()
-    left = spp * height * width // first.size - len(first)
-    return blocks_of(_shared_out(need, left, MOST * spp // first.size), first.size, after=FIRST)
+    left = (spp * height * width // first.size - len(first)) * float(cost.mean())
+    return blocks_of(_shared_out(need, cost, left, MOST * spp // first.size), first.size, after=FIRST)
 
 
 def _noise(grey: Float32) -> Float32:
@@ -96,18 +97,18 @@ def _alike(guides: Float32) -> Float32:
     return found
 
 
-def _shared_out(need: Float32, blocks: int, most: int) -> NDArray[np.int64]:
-    """Return how many of `blocks` each pixel gets beyond FIRST, so that with these they follow its need, (P,).
+def _shared_out(need: Float32, cost: Float32, budget: float, most: int) -> NDArray[np.int64]:
+    """Return how many blocks each pixel gets beyond FIRST, so that with these they follow need over root of cost, (P,).
 
-    None gets more than `most`, so some blocks may be left over.
+    None gets more than `most`, so some of the budget may be left over.
     """
-    need = need / max(float(need.mean()), 1e-30) + EVEN
+    share = (need / max(float(need.mean()), 1e-30) + EVEN) / np.sqrt(cost)
 
     def counts(scale: float) -> NDArray[np.int64]:
-        return np.clip(np.rint(scale * need - FIRST), 0, most).astype(np.int64)
+        return np.clip(np.rint(scale * share - FIRST), 0, most).astype(np.int64)
 
-    low, high = 0.0, 1e3 * (most + FIRST + 1)
+    low, high = 0.0, (most + FIRST + 1) / float(share.min())
     while high - low > 1e-6 * high:
         middle = (low + high) / 2
-        low, high = (middle, high) if counts(middle).sum() <= blocks else (low, middle)
+        low, high = (middle, high) if counts(middle) @ cost <= budget else (low, middle)
     return counts(low)

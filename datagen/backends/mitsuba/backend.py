@@ -162,11 +162,13 @@ class _Synced:
                 yield batch
 
         first = first_blocks(camera.width * camera.height, settings.spp)
-        grey = np.concatenate([batch.grey() for batch in batches(first)], axis=-1)
+        pilots = [(batch.grey(), batch.cost()) for batch in batches(first)]
         if settings.spp > first.size:
+            grey, cost = (np.concatenate(parts, axis=-1) for parts in zip(*pilots, strict=True))
+            cost = cost.reshape(camera.height, camera.width, FIRST).mean(axis=-1)
             guides = np.concatenate([film.mean(("albedo", ""))[0], film.mean(("normal", ""))[0]], axis=-1)
             grey = grey.reshape(-1, camera.height, camera.width, FIRST)
-            for _ in batches(further_blocks(first, grey, guides, settings.spp)):
+            for _ in batches(further_blocks(first, grey, cost, guides, settings.spp)):
                 pass
         names = self.scene.insertable
         return _Pictures(
@@ -215,6 +217,12 @@ class _Batch:
         sums = [np.array(dr.block_sum(dr.mean(layer), self._size)) for layer in self._book.layers]
         return np.stack(sums)
 
+    def cost(self) -> Float32:
+        """Return how often rays were followed for the samples of each of N blocks, in all variants, (N,)."""
+        book = self._book
+        steps = mi.Float(book.steps * (1 + dr.popcnt(book.met)))
+        return np.array(dr.block_sum(steps, self._size))
+
     def _without(self, book: Book, name: str, place: int) -> list[mi.Color3f]:
         """Trace again, without an object, the samples that met it; the others are what they were.
 
@@ -242,5 +250,5 @@ class _Batch:
         film = mi.Point2f(mi.Float(pixel - row * width) + inside.x, mi.Float(row) + inside.y)
         ray = self._lens.rays(film, sampler.next_2d(LENS, BEFORE_PATHS))
         book = trace(self._synced._worlds[removed], ray, sampler, max_bounces=self._settings.max_bounces)
-        dr.eval(book.layers, book.met, book.first, book.covered, book.albedo, book.normal)
+        dr.eval(book.layers, book.met, book.first, book.covered, book.albedo, book.normal, book.steps)
         return book

@@ -53,6 +53,8 @@ class Book:
     """Some surface was there, see-through or not."""
     albedo: mi.Color3f
     normal: mi.Normal3f
+    steps: mi.UInt32
+    """How often a ray was followed."""
 
 
 def _weight(a: mi.Float, b: mi.Float) -> mi.Float:
@@ -134,6 +136,7 @@ def trace(world: World, ray: mi.Ray3f, sampler: Sampler, *, max_bounces: int, on
             mi.Bool(False),
             mi.Color3f(0),
             mi.Normal3f(0),
+            mi.UInt32(0),
         ),
     }
 
@@ -149,6 +152,7 @@ def _vertex(world: World, s: dict, max_bounces: int, one_light: bool) -> dict:
     pi = world.whole.scene.ray_intersect_preliminary(
         mi.Ray3f(s["o"], s["d"], dr.inf, 0.0, mi.Color0f()), coherent=depth == 0, active=active
     )
+    book.steps += dr.select(active, mi.UInt32(1), 0)
     found = active & pi.is_valid()
     face = world.whole.face(pi, found)
     hit = world.surfaces.hit(face, pi.prim_uv, mi.Ray3f(s["o"], s["d"]), found)
