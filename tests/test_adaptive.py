@@ -130,6 +130,12 @@ def test_a_pixels_own_noise_brings_it_no_samples():
     assert changed[8, 7] > 1.2 * need[8, 7]  # but its neighbours get more
 
 
+def test_what_is_not_a_number_stops_nothing():
+    grey = np.ones((1, 16, 16, FIRST))
+    grey[0, 3, 3, 0] = np.nan
+    assert shared_out(grey, np.zeros((16, 16, 6)), 16).mean() == 16
+
+
 def test_few_samples_are_not_shared_out():
     blocks = first_blocks(5, 7)
     assert (blocks.size, len(blocks)) == (7, 5)

