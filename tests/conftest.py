@@ -5,6 +5,7 @@ import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -12,6 +13,9 @@ from datagen.backends.variants import choose_variant, prepare_environment
 from datagen.cli import main
 from datagen.records import SceneRecord
 from datagen.store import ViewData, read_scene, read_view, scene_dir
+
+if TYPE_CHECKING:
+    from model.captures.capture import Capture
 
 # Before any test imports Dr.Jit, which takes the first libLLVM it finds.
 prepare_environment(choose_variant())
@@ -63,3 +67,23 @@ def sphere_view(spheres_dataset: Path) -> tuple[SceneRecord, ViewData]:
     folder = scene_dir(spheres_dataset, 0)
     record = read_scene(folder)
     return record, read_view(folder / record.views[0].file)
+
+
+@pytest.fixture(scope="session")
+def capture_folders(spheres_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """The first closed-form scene as others' captures, by layout; tests must not change them."""
+    found = {}
+    for kind in ("nerfstudio", "colmap"):
+        out = tmp_path_factory.mktemp(kind)
+        words = ["export", kind, str(spheres_dataset), "--out", str(out), "--conditions", "1", "--points", "500"]
+        assert main([*words, "--where", "index = 0"]) == 0
+        found[kind] = next((out / "scene_000000").iterdir())
+    return found
+
+
+@pytest.fixture(scope="session")
+def capture(capture_folders: dict[str, Path]) -> "Capture":
+    """The nerfstudio capture, read."""
+    from model.captures.read import read_capture  # torch is an extra
+
+    return read_capture(capture_folders["nerfstudio"])
