@@ -108,8 +108,7 @@ def variants(settings: AblationSettings, seed: int) -> dict[str, Values]:
             }
         case "lighting":
             count = open_dataset(dataset).record.config.conditions
-            stored = f"{count} stored conditions a scene ({count**2} pairs)"
-            return {"drawn for every sample": {}, stored: {"data": {"lighting": "stored"}}}
+            return stored_lighting(chosen_scenes(dataset, "split = 'train'"), count, seed)
         case "scenes":
             return fewer_scenes(chosen_scenes(dataset, "split = 'train'"), seed)
         case "emissive":
@@ -123,6 +122,22 @@ def variants(settings: AblationSettings, seed: int) -> dict[str, Values]:
                 "no map: transformer on 3D clusters": {"network": {"layout": "points"}},
                 "Hilbert curve, with places and normals": {"network": {"layout": "map+points"}},
             }
+
+
+def stored_lighting(scenes: Sequence[int], count: int, seed: int) -> dict[str, Values]:
+    """Return lighting drawn on the fly, and `count` stored conditions: of all scenes, and of as many as cost as much.
+
+    The layers of all lights cost about what one render of one condition does (the same paths), so where every
+    condition is rendered anew, the same budget gives one scene in `count`; `seed` draws them.
+    """
+    few = np.random.default_rng(seed).permutation(scenes)[: max(1, round(len(scenes) / count))].tolist()
+    stored = f"{count} stored conditions a scene ({count**2} pairs)"
+    anew = f"{count} conditions, each rendered anew: {len(few)} scenes for the same renders"
+    return {
+        "drawn for every sample": {},
+        stored: {"data": {"lighting": "stored"}},
+        anew: over(only(few), {"data": {"lighting": "stored"}}),
+    }
 
 
 def fewer_scenes(scenes: Sequence[int], seed: int) -> dict[str, Values]:

@@ -25,6 +25,7 @@ from model.ablations import (
     fewer_scenes,
     glowing_scenes,
     over,
+    stored_lighting,
     variants,
 )
 from model.ablations_table import rows_of, spread, write_tables
@@ -243,6 +244,18 @@ def test_fewer_scenes_nest_and_are_drawn() -> None:
     assert [len(scenes) for scenes in found] == [5, 10, 20, 40]
     assert found[0] < found[1] < found[2] < found[3] == set(numbers)
     assert scenes_in(next(iter(fewer_scenes(numbers, 1).values()))) != found[0]
+
+
+def test_conditions_rendered_anew_leave_few_scenes() -> None:
+    numbers = list(range(3, 43))
+    drawn, stored, anew = stored_lighting(numbers, 12, 0).values()
+    assert drawn == {}
+    assert stored == {"data": {"lighting": "stored"}}
+    assert anew["data"]["lighting"] == "stored"
+    assert len(scenes_in(anew)) == 3  # 40 scenes, 12 renders each instead of one
+    assert scenes_in(anew) < set(numbers)
+    assert scenes_in(list(stored_lighting(numbers, 12, 1).values())[2]) != scenes_in(anew)
+    assert len(scenes_in(list(stored_lighting(numbers[:2], 12, 0).values())[2])) == 1
 
 
 def test_emissive_trainings_have_as_many_scenes() -> None:

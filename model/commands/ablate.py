@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 TITLES = {
     "head": "What the 2D network predicts",
     "inputs": "What the 2D network is shown",
-    "lighting": "Lighting of the training samples, from the same rendered layers",
+    "lighting": "Lighting of the training samples: drawn for each, or stored conditions",
     "scenes": "How many scenes to train on",
     "emissive": "With and without things that glow",
     "order": "How the 3D network sees the Gaussians",
@@ -27,8 +27,9 @@ TITLES = {
 class Ablate:
     """Train variants of a model that differ in one thing, equally long, and write a table of what each is worth.
 
-    head: gains, a residual or the picture itself. inputs: without background, depth. lighting: stored, or drawn anew.
-    scenes: how many. emissive: with and without what glows. order: of the Gaussians on the map, or no map (3D stage).
+    head: gains, a residual or the picture itself. inputs: without background, depth. lighting: drawn, stored, or stored
+    of as few scenes as could be rendered one condition at a time. scenes: how many. emissive: with and without what
+    glows. order: of the Gaussians on the map, or no map (3D stage).
     The same command goes on where it was stopped.
     """
 
