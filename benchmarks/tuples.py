@@ -11,7 +11,8 @@ with `--most-spp`, what all of them reach: that is said. Seconds are user and sy
 compiling are shared by a scene's views and told apart. (c) is linear in conditions: `--timed-conditions` of them are
 rendered, each in all its variants, and counted for all.
 
-Cycles' own adaptive sampling is off: with it (c) took longer to 40 dB on a tabletop, and did not get there in a studio.
+Cycles' own adaptive sampling is off: at the few thresholds tried, (c) took longer to 40 dB with it on a tabletop, and
+did not get there in a studio.
 
 Choose scenes whose references converge with `--reference-spp`: with glass and enclosed lamps what noise is left in the
 reference, not the ways, decides how many decibels are reached.

@@ -125,10 +125,10 @@ def variants(settings: AblationSettings, seed: int) -> dict[str, Values]:
 
 
 def stored_lighting(scenes: Sequence[int], count: int, seed: int) -> dict[str, Values]:
-    """Return lighting drawn on the fly, and `count` stored conditions: of all scenes, and of as many as cost as much.
+    """Return lighting drawn on the fly, and `count` stored conditions: of all scenes, and of one in `count`.
 
-    The layers of all lights cost about what one render of one condition does (the same paths), so where every
-    condition is rendered anew, the same budget gives one scene in `count`; `seed` draws them.
+    The last has as many renders where every condition is one; `seed` draws its scenes. In core-seconds that is hard on
+    it: with Mitsuba, a view's layers cost as much as 1.6 to 2.7 of its conditions (denoised; a studio, a tabletop).
     """
     few = np.random.default_rng(seed).permutation(scenes)[: max(1, round(len(scenes) / count))].tolist()
     stored = f"{count} stored conditions a scene ({count**2} pairs)"

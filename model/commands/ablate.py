@@ -28,7 +28,7 @@ class Ablate:
     """Train variants of a model that differ in one thing, equally long, and write a table of what each is worth.
 
     head: gains, a residual or the picture itself. inputs: without background, depth. lighting: drawn, stored, or stored
-    of as few scenes as could be rendered one condition at a time. scenes: how many. emissive: with and without what
+    of so few scenes that each condition may be a render. scenes: how many. emissive: with and without what
     glows. order: of the Gaussians on the map, or no map (3D stage).
     The same command goes on where it was stopped.
     """
