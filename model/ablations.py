@@ -37,6 +37,9 @@ Name = Literal["head", "inputs", "lighting", "scenes", "emissive", "order"]
 
 STEPS = {"head": 400, "inputs": 400, "lighting": 1200, "scenes": 400, "emissive": 400, "order": 300}
 """Steps of each training, unless told otherwise; whether lighting repeats itself shows later than all else."""
+LAYERS_COST = 2.7
+"""Most that a view's layers cost in renders of one of its conditions, with Mitsuba and denoised (a tabletop with seven
+insertable objects; a studio with one: 1.6)."""
 COMPOSITE = "composite as it is"
 STAGE_2D = "2D stage alone"
 AVERAGED = "2D stage, averaged over views, no network"
@@ -125,14 +128,14 @@ def variants(settings: AblationSettings, seed: int) -> dict[str, Values]:
 
 
 def stored_lighting(scenes: Sequence[int], count: int, seed: int) -> dict[str, Values]:
-    """Return lighting drawn on the fly, and `count` stored conditions: of all scenes, and of one in `count`.
+    """Return lighting drawn on the fly, and `count` stored conditions: of all scenes, and of as many as cost the same.
 
-    The last has as many renders where every condition is one; `seed` draws its scenes. In core-seconds that is hard on
-    it: with Mitsuba, a view's layers cost as much as 1.6 to 2.7 of its conditions (denoised; a studio, a tabletop).
+    The last has what the core-seconds of all scenes' layers would pay for if every condition were rendered by itself;
+    `seed` draws its scenes.
     """
-    few = np.random.default_rng(seed).permutation(scenes)[: max(1, round(len(scenes) / count))].tolist()
+    few = np.random.default_rng(seed).permutation(scenes)[: max(1, round(len(scenes) * LAYERS_COST / count))].tolist()
     stored = f"{count} stored conditions a scene ({count**2} pairs)"
-    anew = f"{count} conditions, each rendered anew: {len(few)} scenes for the same renders"
+    anew = f"{count} conditions, each rendered anew: {len(few)} scenes for the same core-seconds"
     return {
         "drawn for every sample": {},
         stored: {"data": {"lighting": "stored"}},
