@@ -130,16 +130,20 @@ def variants(settings: AblationSettings, seed: int) -> dict[str, Values]:
 def stored_lighting(scenes: Sequence[int], count: int, seed: int) -> dict[str, Values]:
     """Return lighting drawn on the fly, and `count` stored conditions: of all scenes, and of as many as cost the same.
 
-    The last has what the core-seconds of all scenes' layers would pay for if every condition were rendered by itself;
-    `seed` draws its scenes.
+    The latter has what the core-seconds of all scenes' layers would pay for if every condition were rendered by itself.
+    Both are also trained for a fifth of that cost, where scenes are scarcer. `seed` draws the scenes.
     """
-    few = np.random.default_rng(seed).permutation(scenes)[: max(1, round(len(scenes) * LAYERS_COST / count))].tolist()
-    stored = f"{count} stored conditions a scene ({count**2} pairs)"
-    anew = f"{count} conditions, each rendered anew: {len(few)} scenes for the same core-seconds"
+    order = np.random.default_rng(seed).permutation(scenes).tolist()
+    fixed: Values = {"data": {"lighting": "stored"}}
+    fifth = max(1, len(order) // 5)
+    all_anew, fifth_anew = (max(1, round(kept * LAYERS_COST / count)) for kept in (len(order), fifth))
+    anew = f"{count} conditions, each rendered anew"
     return {
         "drawn for every sample": {},
-        stored: {"data": {"lighting": "stored"}},
-        anew: over(only(few), {"data": {"lighting": "stored"}}),
+        f"{count} stored conditions a scene ({count**2} pairs)": fixed,
+        f"{anew}: {all_anew} scenes for the same core-seconds": over(only(order[:all_anew]), fixed),
+        f"drawn for every sample, {fifth} scenes": only(order[:fifth]),
+        f"{anew}: {fifth_anew} scenes for the core-seconds of {fifth}": over(only(order[:fifth_anew]), fixed),
     }
 
 

@@ -248,14 +248,16 @@ def test_fewer_scenes_nest_and_are_drawn() -> None:
 
 def test_conditions_rendered_anew_leave_few_scenes() -> None:
     numbers = list(range(3, 43))
-    drawn, stored, anew = stored_lighting(numbers, 12, 0).values()
+    drawn, stored, anew, fifth, fifth_anew = stored_lighting(numbers, 12, 0).values()
     assert drawn == {}
     assert stored == {"data": {"lighting": "stored"}}
-    assert anew["data"]["lighting"] == "stored"
-    assert len(scenes_in(anew)) == 9  # 40 scenes, whose layers cost 2.7 renders each instead of 12
-    assert scenes_in(anew) < set(numbers)
+    assert anew["data"]["lighting"] == fifth_anew["data"]["lighting"] == "stored"
+    # Of 40 and 8 scenes, whose layers cost 2.7 renders each instead of 12.
+    assert [len(scenes_in(values)) for values in (anew, fifth, fifth_anew)] == [9, 8, 2]
+    assert scenes_in(fifth_anew) < scenes_in(fifth) < scenes_in(anew) < set(numbers)
+    assert "lighting" not in fifth["data"]
     assert scenes_in(list(stored_lighting(numbers, 12, 1).values())[2]) != scenes_in(anew)
-    assert len(scenes_in(list(stored_lighting(numbers[:2], 12, 0).values())[2])) == 1
+    assert [len(scenes_in(values)) for values in list(stored_lighting(numbers[:2], 12, 0).values())[2:]] == [1, 1, 1]
 
 
 def test_emissive_trainings_have_as_many_scenes() -> None:
