@@ -1,5 +1,6 @@
 """Contact sheets: scenes x (background, composite, target, depth, effect), tone-mapped for the eye."""
 
+from collections.abc import Iterable
 from itertools import islice
 from pathlib import Path
 
@@ -17,6 +18,8 @@ from lights.tonemap import to_display
 
 COLUMNS = ("background", "composite", "target", "z_depth", "effect")
 MARGIN, HEADER = 6, 20
+SHOWN = 0.01
+"""Share of a picture that its largest insertable object should cover to be looked at."""
 Pixels = NDArray[np.uint8]
 
 
@@ -67,12 +70,26 @@ def save_preview(folder: Path, record: SceneRecord) -> None:
     image.save(folder / "preview.png")
 
 
+def telling_view(views: Iterable[tuple[int, ViewData]]) -> tuple[int, ViewData]:
+    """Return the first view that shows an insertable object well, or else the one that shows most; reads no further."""
+    best, most = None, -1.0
+    for number, data in views:
+        share = max(float(coverage.mean()) for coverage in data.coverage.values())
+        if share > most:
+            best, most = (number, data), share
+        if share >= SHOWN:
+            break
+    assert best is not None, "a scene has a view"
+    return best
+
+
 def contact_sheet(source: DatasetSource, *, scenes: int, cell: int = 256) -> Image.Image:
-    """Lay out one row a scene, of the first ones; every scene shows another view and another pair of lightings."""
+    """Lay out one row a scene, of the first ones, from views and under pairs of lightings in turn."""
     rows = []
     for number, record in enumerate(islice(source.scenes(), scenes)):
-        view = (len(record.views) * (2 * number + 1) // 5) % len(record.views)
-        rows.append((record, view, scene_row(record, source.view(record, view), shift=number)))
+        count, first = len(record.views), len(record.views) * (2 * number + 1) // 5
+        view, data = telling_view((v % count, source.view(record, v % count)) for v in range(first, first + count))
+        rows.append((record, view, scene_row(record, data, shift=number)))
     height, width = rows[0][2][0].shape[:2]
     cell_h = round(cell * height / width)
     size = (MARGIN + len(COLUMNS) * (cell + MARGIN), HEADER + len(rows) * (cell_h + HEADER))

@@ -1,6 +1,7 @@
 """The command line: help, one-line errors, exit codes, and what `mix`, `sheet` and `verify` make."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from PIL import Image
 from datagen import compose
 from datagen.cli import main
 from datagen.records import SceneRecord
+from datagen.sheet import telling_view
 from datagen.store import ViewData, view_file
 from tests.conftest import SPHERES
 
@@ -157,6 +159,20 @@ def test_sheet_shows_every_scene(spheres_dataset: Path, tmp_path: Path) -> None:
     assert sheet.shape[1] > 5 * 256
     assert sheet.shape[0] > 2 * 192
     assert len(np.unique(sheet.reshape(-1, 3), axis=0)) > 1000
+
+
+def test_sheet_looks_where_something_is_to_be_seen(sphere_view: tuple[SceneRecord, ViewData]) -> None:
+    def showing(share: float) -> ViewData:
+        ball = (np.arange(1000) < 1000 * share).astype("f4").reshape(10, 100)
+        return replace(sphere_view[1], coverage={"small": np.zeros((10, 100), "f4"), "ball": ball})
+
+    views = [(number, showing(share)) for number, share in enumerate((0.0, 0.004, 0.02, 0.5))]
+    assert telling_view(iter(views))[0] == 2
+    assert telling_view(views[2:])[0] == 2
+    assert telling_view(views[1::-1])[0] == 1
+    rest = iter(views)
+    telling_view(rest)
+    assert next(rest)[0] == 3  # not read for nothing
 
 
 def test_module_and_sizes_of_any_aspect(tmp_path: Path) -> None:
