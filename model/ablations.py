@@ -43,6 +43,7 @@ insertable objects; a studio with one: 1.6)."""
 COMPOSITE = "composite as it is"
 STAGE_2D = "2D stage alone"
 AVERAGED = "2D stage, averaged over views, no network"
+CARRIED = "2D stage, carried by one pixel each, no network"
 GLOW = {"scene glows": "emissive", "scene does not glow": "NOT emissive"}
 """Subsets that the emissive ablation is judged on: their names, and their expressions over the index."""
 
@@ -118,13 +119,7 @@ def variants(settings: AblationSettings, seed: int) -> dict[str, Values]:
             glowing, plain = (chosen_scenes(dataset, f"split = 'train' AND {where}") for where in GLOW.values())
             return glowing_scenes(glowing, plain, seed)
         case "order":
-            return {
-                "Hilbert curve": {},
-                "Z-order curve": {"network": {"order": "morton"}},
-                "arbitrary order": {"network": {"order": "arbitrary"}},
-                "no map: transformer on 3D clusters": {"network": {"layout": "points"}},
-                "Hilbert curve, with places and normals": {"network": {"layout": "map+points"}},
-            }
+            return map_orders()
 
 
 def stored_lighting(scenes: Sequence[int], count: int, seed: int) -> dict[str, Values]:
@@ -145,6 +140,22 @@ def stored_lighting(scenes: Sequence[int], count: int, seed: int) -> dict[str, V
         f"drawn for every sample, {fifth} scenes": only(order[:fifth]),
         f"{anew}: {fifth_anew} scenes for the core-seconds of {fifth}": over(only(order[:fifth_anew]), fixed),
     }
+
+
+def map_orders() -> dict[str, Values]:
+    """Return networks on Gaussians in several orders, each coloured by one pixel, and one on colours of all views.
+
+    As published: what views disagree on is left to the network, which has to know what lies near what.
+    """
+    networks: dict[str, Values] = {
+        "Hilbert curve": {},
+        "Z-order curve": {"order": "morton"},
+        "arbitrary order": {"order": "arbitrary"},
+        "no map: transformer on 3D clusters": {"layout": "points"},
+        "Hilbert curve, with places and normals": {"layout": "map+points"},
+        "Hilbert curve, colours averaged over views": {"carry": "average"},
+    }
+    return {name: {"network": {"carry": "pixel"} | values} for name, values in networks.items()}
 
 
 def fewer_scenes(scenes: Sequence[int], seed: int) -> dict[str, Values]:
@@ -250,8 +261,9 @@ def _methods(settings: AblationSettings, base: Values, runs: Sequence[Run]) -> d
     methods[STAGE_2D] = _on_case(settings.weights_2d, settings.device)
     device = chosen_device(settings.device)
     stage2d = load_network(settings.weights_2d).to(device)
-    untrained = Compositing3D(SLIM3D).eval()
-    methods[AVERAGED] = SceneMethod(stage2d, untrained.to(device), base["side"])
+    for name, carry in ((AVERAGED, "average"), (CARRIED, "pixel")):
+        untrained = Compositing3D(SLIM3D.model_copy(update={"carry": carry})).eval()
+        methods[name] = SceneMethod(stage2d, untrained.to(device), base["side"])
     for run in runs:
         methods[run.method] = SceneMethod(stage2d, load_network3d(run.weights).to(device), base["side"])
     return methods

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from datagen.store import write_text
-from model.ablations import AVERAGED, COMPOSITE, GLOW, STAGE_2D, Run
+from model.ablations import AVERAGED, CARRIED, COMPOSITE, GLOW, STAGE_2D, Run
 from model.evaluation import JUDGED_BY, Evaluation
 from model.metrics import REGIONS
 
@@ -37,8 +37,9 @@ class Row:
 def rows_of(runs: Sequence[Run], found: Evaluation) -> list[Row]:
     """Return a row each for what was not trained here (the composite, the 2D stage), and for each variant."""
     rows = []
-    for method, key in ((COMPOSITE, "composite"), (STAGE_2D, "2D"), (AVERAGED, "averaged")):
+    for method in (COMPOSITE, STAGE_2D, AVERAGED, CARRIED):
         if method in found.methods:
+            key = {COMPOSITE: "composite", STAGE_2D: "2D"}.get(method, "")
             figures = _figures(found, [method]) | {"validation": (runs[0].validation.get(key, math.nan),)}
             rows.append(Row(method, None, (), (), figures))
     names = dict.fromkeys(run.variant for run in runs)

@@ -74,7 +74,8 @@ def harmonize_scene(
     Returns the Gaussians' colours (N, 3) and the views (V, 3, H, W), display-encoded. Where no view was changed, the
     views' own pixels stay.
     """
-    colors = network.colors(scene, scene.carry(composites), scene.carry(harmonized))
+    carry = scene.carry if network.config.carry == "average" else scene.gather
+    colors = network.colors(scene, carry(composites), carry(harmonized))
     share = touched(scene, harmonized, backgrounds)
     return colors, torch.lerp(harmonized, detailed(scene, colors, harmonized), share)
 

@@ -11,6 +11,8 @@ Order = Literal["hilbert", "morton", "arbitrary"]
 
 Layout = Literal["map", "map+points", "points"]
 
+Carry = Literal["average", "pixel"]
+
 
 class SceneNetworkConfig(NetworkConfig):
     """The shape of the network of the 3D stage, and what it works on: 0.4 M parameters, unless told otherwise."""
@@ -31,6 +33,8 @@ class SceneNetworkConfig(NetworkConfig):
     """The Gaussians' colours on a map, their places and normals besides, or no map: clusters (`model.points3d`)."""
     order: Order = "hilbert"
     """Order of the Gaussians on the map: along the Hilbert curve, the Z-order curve, or at random."""
+    carry: Carry = "average"
+    """A Gaussian's colours: the mean over all views that show it, or, as published, the one pixel it came from."""
 
 
 SLIM3D = SceneNetworkConfig()

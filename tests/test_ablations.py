@@ -16,6 +16,7 @@ from datagen.errors import UserError
 from datagen.source import open_dataset
 from model.ablations import (
     AVERAGED,
+    CARRIED,
     COMPOSITE,
     STAGE_2D,
     AblationSettings,
@@ -113,7 +114,7 @@ def test_older_weights_and_checkpoints_still_load(tmp_path: Path) -> None:
     """Files from before a key was known say nothing of it: its default holds."""
     text = NetworkConfig().model_dump(mode="json")
     assert NetworkConfig.model_validate({k: v for k, v in text.items() if k != "blind"}) == NetworkConfig()
-    older = {k: v for k, v in SLIM3D.model_dump(mode="json").items() if k not in ("blind", "layout", "order")}
+    older = {k: v for k, v in SLIM3D.model_dump(mode="json").items() if k not in ("blind", "layout", "order", "carry")}
     assert SceneNetworkConfig.model_validate(older) == SLIM3D
     config = TrainingConfig.model_validate({"out": tmp_path, "network": TINY, "steps": 1, "data": {"train": "x"}})
     network = Compositing2D(config.network)
@@ -316,7 +317,7 @@ def test_variants_differ_in_nothing_else(spheres_dataset: Path, tmp_path: Path) 
     assert told[0].data.validation_split == plain.data.validation_split
 
 
-def test_order_compares_five_networks_on_the_2d_stage(spheres_dataset: Path, tmp_path: Path) -> None:
+def test_order_compares_networks_on_the_2d_stage(spheres_dataset: Path, tmp_path: Path) -> None:
     network = NetworkConfig.model_validate(TINY)
     save_network(tmp_path / "2d.safetensors", Compositing2D(network), network, {})
     missing = settings(spheres_dataset, tmp_path / "out", "order")
@@ -326,11 +327,12 @@ def test_order_compares_five_networks_on_the_2d_stage(spheres_dataset: Path, tmp
     base = over(tiny_base(chosen), {"side": 32})
     runs, found = ablate(chosen, base)
     configs = [load_network3d(run.weights).config for run in runs]
-    assert [(c.layout, c.order) for c in configs] == [
-        ("map", "hilbert"), ("map", "morton"), ("map", "arbitrary"), ("points", "hilbert"), ("map+points", "hilbert"),
+    assert [(c.layout, c.order, c.carry) for c in configs] == [
+        ("map", "hilbert", "pixel"), ("map", "morton", "pixel"), ("map", "arbitrary", "pixel"),
+        ("points", "hilbert", "pixel"), ("map+points", "hilbert", "pixel"), ("map", "hilbert", "average"),
     ]  # fmt: skip
     rows = {row.name: row for row in rows_of(runs, found)}
-    assert list(rows)[:3] == [COMPOSITE, STAGE_2D, AVERAGED]
+    assert list(rows)[:4] == [COMPOSITE, STAGE_2D, AVERAGED, CARRIED]
     # untrained, the 2D stage returns the composite
     assert rows[STAGE_2D].figures["image"] == pytest.approx(rows[COMPOSITE].figures["image"], abs=0.01)
     assert all(np.isfinite(row.figures["views disagree by"]).all() for row in rows.values())

@@ -95,8 +95,10 @@ def test_neighbours_on_the_map_are_neighbours_in_space(scene: SplatScene) -> Non
 
 def test_untrained_network_returns_the_carried_colours(scene: SplatScene) -> None:
     harmonized = images(scene, 1) * 0.5 + 0.2
-    colors, _ = harmonize_scene(Compositing3D(TINY).eval(), scene, images(scene), harmonized, images(scene))
-    torch.testing.assert_close(colors, scene.carry(harmonized), atol=1e-5, rtol=1e-5)
+    for carry, expected in (("average", scene.carry(harmonized)), ("pixel", scene.gather(harmonized))):
+        network = Compositing3D(TINY.model_copy(update={"carry": carry})).eval()
+        colors, _ = harmonize_scene(network, scene, images(scene), harmonized, images(scene))
+        torch.testing.assert_close(colors, expected, atol=1e-5, rtol=1e-5)
 
 
 def test_detail_survives_where_the_views_agree(scene: SplatScene) -> None:
