@@ -40,6 +40,8 @@ STEPS = {"head": 400, "inputs": 400, "lighting": 1200, "scenes": 400, "emissive"
 LAYERS_COST = 2.7
 """Most that a view's layers cost in renders of one of its conditions, with Mitsuba and denoised (a tabletop with seven
 insertable objects; a studio with one: 1.6)."""
+FEWEST = 10
+"""Scenes to train on that lightings are compared with, so that a fifth of them are two."""
 COMPOSITE = "composite as it is"
 STAGE_2D = "2D stage alone"
 AVERAGED = "2D stage, averaged over views, no network"
@@ -126,11 +128,16 @@ def stored_lighting(scenes: Sequence[int], count: int, seed: int) -> dict[str, V
     """Return lighting drawn on the fly, and `count` stored conditions: of all scenes, and of as many as cost the same.
 
     The latter has what the core-seconds of all scenes' layers would pay for if every condition were rendered by itself.
-    Both are also trained for a fifth of that cost, where scenes are scarcer. `seed` draws the scenes.
+    Both are also trained for a fifth of that cost, where scenes are scarcer. `seed` draws the scenes. Raises
+    `UserError` where there are too few of them for that.
     """
+    if len(scenes) < FEWEST:
+        raise UserError(
+            f"{len(scenes)} scenes to train on: comparing lightings at equal cost needs {FEWEST}; make more scenes"
+        )
     order = np.random.default_rng(seed).permutation(scenes).tolist()
     fixed: Values = {"data": {"lighting": "stored"}}
-    fifth = max(1, len(order) // 5)
+    fifth = len(order) // 5
     all_anew, fifth_anew = (max(1, round(kept * LAYERS_COST / count)) for kept in (len(order), fifth))
     anew = f"{count} conditions, each rendered anew"
     return {
