@@ -22,7 +22,7 @@ from datagen.config import DatasetConfig
 from datagen.errors import RunStoppedError, UserError, full_disk_told
 from datagen.index import write_index
 from datagen.records import DatasetRecord
-from datagen.store import read_dataset, read_scene, scene_dir, scene_indices, write_text
+from datagen.store import check_links, read_dataset, read_scene, scene_dir, scene_indices, write_text
 from datagen.worker import WorkerSetup, log_path, run_scene
 from scenes.assets.library import AssetError, AssetLibrary
 
@@ -118,6 +118,7 @@ def _locked(root: Path) -> Iterator[None]:
     """Hold the dataset's lock; the kernel drops it when the process ends, however it ends."""
     try:
         root.mkdir(parents=True, exist_ok=True)
+        check_links(root)
         lock = (root / ".lock").open("w")
     except OSError as error:
         raise UserError(f"output folder {root} cannot be written: {error.strerror}; choose another --out") from None

@@ -56,7 +56,7 @@ class ViewRecord(Frozen):
     as a whole (`all`, `without_<object>`), what each light's layer carried then.
     """
 
-    file: str
+    file: Annotated[str, Field(pattern=r"^views/[0-9]{2,6}\.exr$")]
     file_sha256: str
     bytes: int
     width: int

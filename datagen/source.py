@@ -24,6 +24,7 @@ from datagen.errors import StoreError, UserError
 from datagen.index import index_table
 from datagen.records import DatasetRecord, SceneRecord
 from datagen.store import ViewData, parse_dataset, parse_scene, read_view
+from scenes.inside import OutsideError, held, inside, plain_name
 
 OnBroken = Literal["raise", "skip"]
 
@@ -102,26 +103,33 @@ class DatasetSource:
         Of a remote dataset it is a copy: in the cache's folder, or gone afterwards where there is none.
         """
         if self.is_local:
-            yield Path(self.root) / name
+            with _told(self.address):
+                path = inside(Path(self.root), name)
+            yield path
         elif self.cache is not None:
             yield self._cached(self.cache, name)
         else:
             with tempfile.TemporaryDirectory(prefix="multilight-") as folder:
+                content = self._bytes(name)
                 path = Path(folder) / Path(name).name
-                path.write_bytes(self._bytes(name))
+                path.write_bytes(content)
                 yield path
 
     @contextlib.contextmanager
     def local_scene(self, index: int) -> Iterator[Path]:
         """Lend a scene's folder as a local one: its record and all its views; copies where the dataset is remote."""
         if self.is_local:
-            yield Path(self.root) / _folder(index)
+            with _told(self.address):
+                found = inside(Path(self.root), _folder(index))
+            yield found
             return
         with tempfile.TemporaryDirectory(prefix="multilight-") as temporary:
             folder = Path(temporary) / _folder(index)
             for name in ("scene.json", *(view.file for view in self.scene(index).views)):
-                (folder / name).parent.mkdir(parents=True, exist_ok=True)
-                (folder / name).write_bytes(self._bytes(f"{_folder(index)}/{name}"))
+                content = self._bytes(f"{_folder(index)}/{name}")
+                path = inside(folder, name)
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_bytes(content)
             yield folder
 
     @property
@@ -137,7 +145,8 @@ class DatasetSource:
     def _cached(self, cache: Path, name: str) -> Path:
         """Fetch a file once; the folder is named after what decides the content, so another dataset is fetched anew."""
         key = hashlib.sha256(f"{self.address}\n{self.record.canonical_json()}".encode()).hexdigest()[:16]
-        path = cache / key / name
+        with _told(self.address):
+            path = inside(cache / key, name)
         if not path.is_file():
             path.parent.mkdir(parents=True, exist_ok=True)
             temporary = path.with_name(f"{path.name}.{os.getpid()}.tmp")  # processes may fetch the same file at once
@@ -147,6 +156,15 @@ class DatasetSource:
 
     def _bytes(self, name: str) -> bytes:
         return _read(self.filesystem, self.root, name, self.address)
+
+
+@contextlib.contextmanager
+def _told(address: str) -> Iterator[None]:
+    """Turn a name that leads out of a dataset into a `StoreError`."""
+    try:
+        yield
+    except OutsideError as error:
+        raise StoreError(f"{address}: {error}; it is not read") from None
 
 
 def open_dataset(
@@ -221,6 +239,10 @@ def _folder(index: int) -> str:
 
 
 def _read(filesystem: AbstractFileSystem, root: str, name: str, address: str) -> bytes:
+    with _told(address):
+        plain_name(name)
+        if "file" in filesystem.protocol:
+            held(Path(root), Path(root, name))
     # In a forked process this makes a new connection; in the same one it returns the same object.
     alive = type(filesystem)(*filesystem.storage_args, **filesystem.storage_options)
     try:

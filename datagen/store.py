@@ -13,6 +13,7 @@ the channels' names: `raw_all`, `raw_all.<light>.R|G|B`, `raw_without_<object>`,
 """
 
 import hashlib
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,6 +27,7 @@ from pydantic import ValidationError
 from datagen.errors import StoreError
 from datagen.layers import Float32, GeometryBuffers
 from datagen.records import DatasetRecord, SceneRecord
+from scenes.inside import OutsideError, held, inside
 
 _Record = TypeVar("_Record", SceneRecord, DatasetRecord)
 COMPRESSION = OpenEXR.ZIP_COMPRESSION
@@ -58,6 +60,23 @@ def scene_dir(root: Path, index: int) -> Path:
 def view_file(view: int) -> str:
     """Return a view's file name inside its scene's folder."""
     return f"views/{view:02d}.exr"
+
+
+def file_inside(folder: Path, name: str) -> Path:
+    """Return the path of a file that a record names; raises `StoreError` where it would lie outside of the folder."""
+    try:
+        return inside(folder, name)
+    except OutsideError as error:
+        raise StoreError(f"{folder}: {error}") from None
+
+
+def check_links(root: Path) -> None:
+    """Raise `StoreError` where something in a dataset's folder is a link that leads out of it, so writing would too."""
+    for path in (*root.iterdir(), *root.glob("scenes/*")):
+        try:
+            held(root, path)
+        except OutsideError as error:
+            raise StoreError(f"{error}; remove the link") from None
 
 
 def write_text(path: Path, text: str) -> None:
@@ -112,12 +131,12 @@ def read_view(path: Path) -> ViewData:
 
 def read_scene(folder: Path) -> SceneRecord:
     """Read `scene.json` of a scene's folder; raises `StoreError` naming the file and the reason."""
-    return parse_scene(_read_bytes(folder / "scene.json"), str(folder / "scene.json"))
+    return parse_scene(_read_bytes(file_inside(folder, "scene.json")), str(folder / "scene.json"))
 
 
 def read_dataset(root: Path) -> DatasetRecord:
     """Read `dataset.json`; raises `StoreError` naming the file and the reason."""
-    return parse_dataset(_read_bytes(root / "dataset.json"), str(root / "dataset.json"))
+    return parse_dataset(_read_bytes(file_inside(root, "dataset.json")), str(root / "dataset.json"))
 
 
 def parse_scene(content: bytes, name: str) -> SceneRecord:
@@ -135,7 +154,11 @@ def scene_indices(root: Path) -> list[int]:
     folder = root / "scenes"
     if not folder.is_dir():
         return []
-    return sorted(int(p.name) for p in folder.iterdir() if p.name.isdigit() and (p / "scene.json").is_file())
+    return sorted(
+        int(p.name)
+        for p in folder.iterdir()
+        if re.fullmatch("[0-9]{6,}", p.name) and not p.is_symlink() and (p / "scene.json").is_file()
+    )
 
 
 def _read_bytes(path: Path) -> bytes:

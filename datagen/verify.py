@@ -15,7 +15,16 @@ from datagen.exposure import BRIGHT, DARK
 from datagen.layers import Float32
 from datagen.records import SceneRecord, ViewRecord
 from datagen.source import open_dataset
-from datagen.store import ViewData, file_sha256, read_dataset, read_scene, read_view, scene_dir, scene_indices
+from datagen.store import (
+    ViewData,
+    file_inside,
+    file_sha256,
+    read_dataset,
+    read_scene,
+    read_view,
+    scene_dir,
+    scene_indices,
+)
 from lights.spec import LightingCondition
 from lights.tonemap import luminance
 from scenes.cameras import reprojection_error
@@ -83,7 +92,7 @@ def verify_scene(folder: Path) -> list[Fault]:
     views: list[ViewData | None] = []
     for number, stated in enumerate(record.views):
         try:
-            path = folder / stated.file
+            path = file_inside(folder, stated.file)
             view = read_view(path)
             if file_sha256(path) != stated.file_sha256:
                 raise StoreError(f"{path}: content differs from the hash in scene.json")

@@ -14,6 +14,7 @@ from model.baselines import poisson_blend
 from model.depth import DepthModel, guessed_depth
 from model.evaluation_cases import Case, Group, LazyGroup
 from model.pictures import read_mask, read_picture, resized
+from scenes.inside import OutsideError, inside
 
 Float32 = NDArray[np.float32]
 
@@ -47,7 +48,13 @@ def prepared_paths(root: Path, scene: Path, *wanted: str) -> dict[str, Path]:
     file = scene / "transforms.json"
     try:
         content: dict[str, Any] = json.loads(file.read_text())
-        return {key: root / content[key] for key in (*wanted, "mask_path") if key in wanted or key in content}
+        return {
+            key: inside(root, content[key], beside=root)
+            for key in (*wanted, "mask_path")
+            if key in wanted or key in content
+        }
+    except OutsideError as error:
+        raise UserError(f"{file}: {error}; paths are relative to {root}") from None
     except (ValueError, KeyError, TypeError) as error:
         raise UserError(f"{file} cannot be read: it lacks {error}; it must name {', '.join(wanted)}") from None
 

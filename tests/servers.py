@@ -61,11 +61,13 @@ def s3_server(folder: Path) -> Iterator[str]:
     fsspec.config.conf["s3"] = options
     try:
         bucket = fsspec.filesystem("s3")
-        bucket.mkdir("bucket")
+        if not bucket.exists("bucket"):
+            bucket.mkdir("bucket")
         for path in folder.rglob("*"):
             if path.is_file():
                 bucket.pipe_file(f"bucket/sets/one/{path.relative_to(folder)}", path.read_bytes())
         yield "s3://bucket/sets/one"
     finally:
+        bucket.rm("bucket/sets", recursive=True)
         del fsspec.config.conf["s3"]
         server.stop()

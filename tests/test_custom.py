@@ -2,6 +2,8 @@
 
 import json
 import math
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -387,6 +389,27 @@ def _check_blend_lights(lights: dict[str, Light]) -> None:
     assert lights["world"].radiance == pytest.approx((0.05, 0.06, 0.1))
     assert isinstance(lights["bg_lamp"], EmissiveLight)
     assert lights["bg_lamp"].radiance == pytest.approx((12.0, 6.0, 3.0), rel=1e-3)
+
+
+USES_A_PICTURE = """
+import sys
+from datagen.backends import blender
+import bpy
+bpy.ops.wm.read_factory_settings(use_empty=True)
+image = bpy.data.images.load(sys.argv[2])
+image.use_fake_user = True
+bpy.ops.wm.save_as_mainfile(filepath=sys.argv[1])
+"""
+
+
+@pytest.mark.slow
+def test_a_blend_file_uses_nothing_outside_of_its_folder(tmp_path: Path) -> None:
+    Image.new("RGB", (4, 4), "red").save(tmp_path / "secret.png")
+    file = tmp_path / "set" / "room.blend"
+    file.parent.mkdir()
+    subprocess.run([sys.executable, "-c", USES_A_PICTURE, str(file), str(tmp_path / "secret.png")], check=True)
+    with pytest.raises(AssetError, match="it uses a file outside"):
+        converted_blend(file, tmp_path / "cache")
 
 
 @pytest.mark.slow

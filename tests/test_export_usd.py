@@ -1,6 +1,7 @@
 """USD stages: held against USD's own validators, closed forms read with plain `pxr`, Blender, and the way back."""
 
 import math
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -70,7 +71,7 @@ def edited(written: Path, folder: Path, change: Any) -> Path:
         change(opened)
     path = folder / STAGE
     opened.GetRootLayer().Export(str(path))
-    (folder / "textures").symlink_to(written.parent / "textures")
+    shutil.copytree(written.parent / "textures", folder / "textures", dirs_exist_ok=True)
     opened.GetRootLayer().Reload(force=True)
     return path
 

@@ -119,6 +119,7 @@ class Stats:
         from datagen.config import load_config
         from datagen.report import progress
         from datagen.stats.collect import measure_dataset, measure_samples
+        from datagen.store import file_inside
         from scenes.assets.library import AssetLibrary
 
         if (self.dir is None) == (self.sample is None):
@@ -126,7 +127,7 @@ class Stats:
         with progress("scenes") as report:
             if self.dir is not None:
                 library = AssetLibrary(folders=self.assets)
-                return measure_dataset(self.dir, library, report), self.out or self.dir / "stats"
+                return measure_dataset(self.dir, library, report), self.out or file_inside(self.dir, "stats")
             assert self.sample is not None
             if self.sample < 1:
                 raise UserError(f"--sample {self.sample} must be 1 or more")

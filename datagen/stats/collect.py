@@ -16,7 +16,7 @@ from datagen.stats.duplicates import Bits, Pair, alike_in_content, alike_in_pict
 from datagen.stats.facts import SceneFacts, scene_facts
 from datagen.stats.pictures import picture_values
 from datagen.stats.quantities import QUANTITIES, Coverage, Quantity, Value, coverage_of
-from datagen.store import read_scene, scene_dir, scene_indices
+from datagen.store import file_inside, read_scene, scene_dir, scene_indices
 from scenes.assets.library import AssetLibrary
 from scenes.splits import SPLITS, Split
 from scenes.streams import Streams
@@ -76,7 +76,7 @@ def measure_dataset(root: Path, library: AssetLibrary, report: Report) -> Summar
         record = read_scene(scene_dir(root, index))
         found = scene_facts(record.scene, record.rig, record.split, library)
         facts.append(replace(found, values=found.values | picture_values(scene_dir(root, index), record)))
-        with Image.open(scene_dir(root, index) / "preview.png") as preview:
+        with Image.open(file_inside(scene_dir(root, index), "preview.png")) as preview:
             hashes.append(picture_hash(preview))
         report(number + 1, len(indices))
     return summarize(f"{root.name}: {len(facts)} scenes", facts, hashes)

@@ -8,7 +8,7 @@ from PIL import Image
 
 from datagen.records import SceneRecord
 from datagen.stats.facts import Values
-from datagen.store import read_view
+from datagen.store import file_inside, read_view
 from lights.tonemap import luminance
 
 Float64 = NDArray[np.float64]
@@ -16,11 +16,11 @@ Float64 = NDArray[np.float64]
 
 def picture_values(folder: Path, record: SceneRecord) -> Values:
     """Measure the preview (all lights on, as displayed) and the radiance of the first and the last view."""
-    with Image.open(folder / "preview.png") as image:
+    with Image.open(file_inside(folder, "preview.png")) as image:
         preview = np.asarray(image.convert("RGB"), np.float64)
     tiles = np.array_split(preview, min(4, len(record.views)), axis=1)
     ends = sorted({0, len(record.views) - 1})
-    targets = (read_view(folder / record.views[view].file).combined for view in ends)
+    targets = (read_view(file_inside(folder, record.views[view].file)).combined for view in ends)
     return {
         "luminance": [float(luminance(tile / 255.0).mean()) for tile in tiles],
         "colourfulness": [colourfulness(tile) for tile in tiles],

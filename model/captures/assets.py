@@ -10,6 +10,7 @@ from PIL import Image
 
 from datagen.errors import UserError
 from lights.tonemap import srgb_decode
+from scenes.assets.beside import load_scene
 from scenes.assets.cleaning import Z_UP_FROM_Y_UP, clean_mesh, transformed
 from scenes.assets.folder import SUFFIXES
 from scenes.assets.gltf import raw_part
@@ -62,7 +63,7 @@ def _from_file(path: Path) -> Asset:
         return Texture(image=key)
 
     try:
-        pieces = trimesh.load_scene(path, process=False).dump()
+        pieces = load_scene(path, path.parent).dump()
         parts = [raw_part(piece, keep) for piece in pieces if isinstance(piece, trimesh.Trimesh)]
         mesh = clean_mesh(transformed(parts, Z_UP_FROM_Y_UP))
     except Exception as error:  # trimesh raises whatever a broken file makes it stumble over

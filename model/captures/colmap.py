@@ -11,6 +11,7 @@ from datagen.errors import UserError
 from model.captures.capture import Capture, Shot, load_shots
 from model.captures.lenses import Lens
 from scenes.cameras import opencv_from_opengl
+from scenes.inside import OutsideError, inside
 
 Float64 = NDArray[np.float64]
 
@@ -121,8 +122,12 @@ def _capture(folder: Path, pictures: Path, found: pycolmap.Reconstruction, *, ma
         lens = Lens(camera.model.name, camera.width, camera.height, tuple(float(p) for p in camera.params))
         pose = np.eye(4)
         pose[:3] = image.cam_from_world().inverse().matrix()
-        depth, unit = _depth(folder, image.name)
-        shots.append(Shot(image.name, pictures / image.name, lens, opencv_from_opengl(pose), depth, unit))
+        try:
+            picture = inside(pictures, image.name)
+            depth, unit = _depth(folder, image.name)
+        except OutsideError as error:
+            raise UserError(f"{folder}: {error}") from None
+        shots.append(Shot(image.name, picture, lens, opencv_from_opengl(pose), depth, unit))
         seen.append(np.unique([place[p.point3D_id] for p in image.points2D if p.has_point3D()]).astype(np.int64))
     return load_shots(folder, shots, max_side=max_side, points=points, seen=tuple(seen))
 

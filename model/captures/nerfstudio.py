@@ -10,6 +10,7 @@ import trimesh
 from datagen.errors import UserError
 from model.captures.capture import Capture, Shot, load_shots
 from model.captures.lenses import Lens
+from scenes.inside import inside
 
 Json = dict[str, Any]
 
@@ -30,7 +31,7 @@ def read_nerfstudio(file: Path, *, max_side: int, every: int = 1) -> Capture:
     points = None
     if cloud is not None:
         try:
-            points = np.asarray(trimesh.load(file.parent / cloud).vertices, np.float64)
+            points = np.asarray(trimesh.load(inside(file.parent, cloud, beside=file.parent)).vertices, np.float64)
         except Exception as error:  # trimesh raises whatever a broken file makes it stumble over
             raise UserError(f"points {file.parent / cloud} cannot be read: {error}") from None
     return load_shots(file.parent, shots, max_side=max_side, points=points)
@@ -40,7 +41,7 @@ def _shot(folder: Path, content: Json, frame: Json) -> Shot:
     values = content | frame
     depth = frame.get("depth_file_path")
     unit = 1.0 if depth is not None and depth.endswith(".npy") else float(content.get("depth_unit_scale_factor", 0.001))
-    image = folder / frame["file_path"]
+    image = inside(folder, frame["file_path"], beside=folder)
     if not image.suffix:  # as in Blender's synthetic sets
         image = image.with_suffix(".png")
     return Shot(
@@ -48,7 +49,7 @@ def _shot(folder: Path, content: Json, frame: Json) -> Shot:
         image=image,
         lens=_lens(image, values),
         c2w=np.array(frame["transform_matrix"], np.float64),
-        depth=None if depth is None else folder / depth,
+        depth=None if depth is None else inside(folder, depth, beside=folder),
         depth_unit=unit,
     )
 

@@ -23,6 +23,7 @@ from scenes.assets.imported import FoundLight, Imported, Node, image_digest
 from scenes.assets.info import AssetError, AssetInfo
 from scenes.cameras import matrix4
 from scenes.frozen import Frozen, Matrix4, Slug
+from scenes.inside import OutsideError, inside
 from scenes.meshes import Mesh, MeshPart, load_mesh, save_mesh
 from scenes.spec import Material, Texture
 
@@ -124,7 +125,11 @@ class BackgroundPack:
             found = gltf.read_gltf(self._file, keep)
             for light in found.lights:
                 if light.map is not None:
-                    shutil.copyfile(self._file.with_name(f"{light.map}.exr"), work / f"{light.map}.exr")
+                    try:
+                        sky = inside(self._file.parent, f"{light.map}.exr")
+                        shutil.copyfile(sky, inside(work, sky.name))
+                    except OutsideError as error:
+                        raise AssetError(f"{self._file}: {error}; put the map beside it") from None
             return found
         from scenes.assets.usd import read_usd  # imports pxr, which few need
 

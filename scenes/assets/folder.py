@@ -9,7 +9,6 @@ ignored, since lights are given by the rig.
 import csv
 import hashlib
 import json
-import logging
 import re
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -20,11 +19,13 @@ import trimesh
 from PIL import Image
 
 from scenes.assets import cleaning, gltf
+from scenes.assets.beside import load_scene
 from scenes.assets.cache import sources_key, write_json, write_once
 from scenes.assets.cleaning import Z_UP_FROM_Y_UP, RawPart, clean_mesh, extent, transformed
 from scenes.assets.gltf import raw_part
 from scenes.assets.imported import image_digest
 from scenes.assets.info import AssetError, AssetInfo
+from scenes.inside import OutsideError, held, plain_name
 from scenes.meshes import Mesh
 from scenes.spec import Texture
 
@@ -112,11 +113,14 @@ class FolderPack:
         entry = self._entries[name]
         path = self._folder / entry.file
         try:
+            held(self._folder, path)
             parts = self._load(path)
             turn = Z_UP_FROM_Y_UP if entry.up_axis == "Y" else np.eye(3)
             parts = transformed(parts, turn * entry.metres_per_unit)
             mesh = clean_mesh(parts)
             low, high = extent(parts)
+        except OutsideError as error:
+            raise AssetError(f"{error}; put the file there itself") from None
         except AssetError:
             raise
         except Exception as error:  # trimesh raises whatever a broken file makes it stumble over
@@ -133,12 +137,7 @@ class FolderPack:
             raise AssetError(f"{path} is missing")
         if path.suffix.lower() not in SUFFIXES:
             raise AssetError(f"{path} is not one of {', '.join(SUFFIXES)}")
-        logger = logging.getLogger("trimesh")
-        level, logger.level = logger.level, logging.CRITICAL
-        try:
-            scene = trimesh.load_scene(path, process=False)
-        finally:
-            logger.level = level
+        scene = load_scene(path, self._folder)
         meshes = [geometry for geometry in scene.dump() if isinstance(geometry, trimesh.Trimesh)]
         parts = [raw_part(mesh, self._texture) for mesh in meshes]
         if not parts:
@@ -195,9 +194,10 @@ def _read_table(table: Path) -> list[_Entry]:
 
 
 def _entry(row: dict[str, str], where: str) -> _Entry:
-    file = Path(row["file"])
-    if file.is_absolute() or ".." in file.parts:
-        raise AssetError(f"{where}: file {row['file']!r} must lie inside the folder")
+    try:
+        file = Path(plain_name(str(Path(row["file"]))))
+    except OutsideError as error:
+        raise AssetError(f"{where}: {error}; it must lie inside the folder") from None
     try:
         scale = float(row.get("metres_per_unit", "1"))
     except ValueError:

@@ -1,7 +1,6 @@
 """glTF 2.0 and GLB files: materials, and whole scenes with their lights (KHR_lights_punctual)."""
 
 import json
-import logging
 import struct
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,12 +12,14 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from scenes.assets.beside import load_scene
 from scenes.assets.cleaning import Z_UP_FROM_Y_UP, RawPart
 from scenes.assets.finishes import linear, part_name
 from scenes.assets.imported import Emission, FoundLight, Imported, KeepImage, Node
 from scenes.assets.info import AssetError
 from scenes.cameras import matrix4
 from scenes.frozen import Rgb
+from scenes.inside import OutsideError, inside
 from scenes.spec import Material
 
 LIGHTS_KEY = "multilight_lights"
@@ -35,18 +36,14 @@ def read_gltf(path: Path, keep: KeepImage) -> Imported:
     """Read a GLB or glTF file; raises `AssetError` in one line with the file, what is wrong and the remedy."""
     header = _header(path)
     _check_header(path, header)
-    logger = logging.getLogger("trimesh")
-    level, logger.level = logger.level, logging.CRITICAL
     try:
-        scene = trimesh.load_scene(path, process=False)
+        scene = load_scene(path, path.parent)
         nodes = tuple(_nodes(scene, header, keep))
         lights = tuple(_lights(header))
     except AssetError:
         raise
     except Exception as error:  # trimesh raises whatever a broken file makes it stumble over
         raise AssetError(f"{path} cannot be read ({type(error).__name__}: {error}); export it again") from error
-    finally:
-        logger.level = level
     return Imported(nodes, lights)
 
 
@@ -77,10 +74,11 @@ def _check_header(path: Path, header: Header) -> None:
             uri = str(entry.get("uri", "data:"))
             if uri.startswith("data:"):
                 continue
-            beside = Path(unquote(uri))
-            if ":" in uri.split("/")[0] or beside.is_absolute() or ".." in beside.parts:
-                raise AssetError(f"{path} names {uri!r}, which must lie beside it; export it as GLB")
-            if not (path.parent / beside).is_file():
+            try:
+                beside = inside(path.parent, unquote(uri), beside=path.parent)
+            except OutsideError:
+                raise AssetError(f"{path} names {uri!r}, which must lie beside it; export it as GLB") from None
+            if not beside.is_file():
                 raise AssetError(f"{path} names {uri!r}, which is missing; put it beside the file or export as GLB")
 
 

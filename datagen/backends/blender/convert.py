@@ -24,6 +24,7 @@ from scenes.assets.gltf import LIGHTS_KEY  # noqa: E402
 from scenes.assets.imported import FoundLight  # noqa: E402
 from scenes.cameras import matrix4  # noqa: E402
 from scenes.frozen import Rgb  # noqa: E402
+from scenes.inside import OutsideError, held  # noqa: E402
 
 WATTS_TO_INTENSITY = 1 / (4 * math.pi)
 """W/sr on the axis of a Blender point or spot light of one watt, as in `datagen.backends.blender.lights`."""
@@ -48,6 +49,7 @@ def convert(source: Path, target: Path) -> None:
         bpy.ops.wm.open_mainfile(filepath=str(source), load_ui=False, use_scripts=False)
     except RuntimeError as error:
         raise ConversionError(str(error).strip().splitlines()[-1]) from error
+    _check_paths(source)
     _check_images()
     scene = bpy.context.scene
     lights = [light.model_dump(mode="json") for light in _lights(scene, target)]
@@ -67,6 +69,19 @@ def convert(source: Path, target: Path) -> None:
         export_skins=False,
         export_morph=False,
     )
+
+
+def _check_paths(source: Path) -> None:
+    """Refuse what lies outside of the file's folder: pictures, linked libraries, caches."""
+    for name in bpy.utils.blend_paths(absolute=True):
+        path = Path(os.path.abspath(name))
+        try:
+            held(source.parent, path)
+        except OutsideError as error:
+            if path.is_file():
+                raise ConversionError(
+                    f"it uses a file outside: {error}; put it there, or pack it into the file"
+                ) from error
 
 
 def _check_images() -> None:

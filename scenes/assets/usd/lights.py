@@ -18,7 +18,7 @@ from pxr import UsdGeom, UsdLux
 
 from scenes.assets.imported import FoundLight
 from scenes.assets.info import AssetError
-from scenes.assets.usd.materials import inputs_of, open_picture, rgb_of
+from scenes.assets.usd.materials import inputs_of, open_picture, resolved_file, rgb_of
 from scenes.cameras import matrix4
 
 Float64 = NDArray[np.float64]
@@ -87,8 +87,8 @@ class LightReader:
 
 def write_map(path: Path, file: Any, where: Any, target: Path) -> None:
     """Bring a dome's texture to `target` as EXR; raises `AssetError` for formats that are not read."""
-    if file.resolvedPath.lower().endswith(".exr"):
-        shutil.copyfile(file.resolvedPath, target)
+    if file.resolvedPath.lower().endswith(".exr") and "[" not in file.resolvedPath:
+        shutil.copyfile(resolved_file(path, file, where), target)
         return
     if file.path.lower().endswith((".hdr", ".tx")):
         raise AssetError(f"{path}: {where} names {file.path!r}; convert it to EXR")

@@ -17,6 +17,7 @@ from scenes.assets.imported import Emission
 from scenes.assets.info import AssetError
 from scenes.assets.usd.names import BASE, IMAGE, NAME, NITS, OPACITY, OWN, TRANSMISSION
 from scenes.frozen import Rgb
+from scenes.inside import OutsideError, held
 from scenes.spec import Material, Texture
 
 _WHITE = (1.0, 1.0, 1.0)
@@ -162,10 +163,7 @@ def _repeat(node: Any) -> tuple[float, float]:
 
 def open_picture(path: Path, file: Any, where: Any) -> Image.Image:
     """Open a picture of the stage at `path`; raises `AssetError` naming the prim `where` and the remedy."""
-    resolved = file.resolvedPath if file is not None else ""
-    if not resolved:
-        named = file.path if file is not None else "nothing"
-        raise AssetError(f"{path}: {where} names the texture {named!r}, which is missing; put it there")
+    resolved = resolved_file(path, file, where)
     try:
         if "[" in resolved:  # inside a .usdz
             return Image.open(_from_package(resolved)).copy()
@@ -173,6 +171,24 @@ def open_picture(path: Path, file: Any, where: Any) -> Image.Image:
             return picture.copy()
     except (OSError, SyntaxError, ValueError) as error:
         raise AssetError(f"{path}: texture {file.path!r} cannot be read ({error}); save it as PNG") from error
+
+
+def resolved_file(path: Path, file: Any, where: Any) -> str:
+    """Return the file that the stage at `path` names; raises `AssetError` where it is missing, or out of its folder."""
+    resolved = str(file.resolvedPath) if file is not None else ""
+    if not resolved:
+        named = file.path if file is not None else "nothing"
+        raise AssetError(f"{path}: {where} names the texture {named!r}, which is missing; put it there")
+    try:
+        held(path.parent, Path(package_of(resolved)))
+    except OutsideError as error:
+        raise AssetError(f"{path}: {where} names a texture outside: {error}; put it beside the stage") from None
+    return resolved
+
+
+def package_of(name: str) -> str:
+    """Return the file that a name of USD's lies in: of `a.usdz[b.png]` the package."""
+    return name.partition("[")[0]
 
 
 def _from_package(resolved: str) -> io.BytesIO:

@@ -6,24 +6,47 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Tf, Usd, UsdGeom, UsdLux, UsdShade
+from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdShade
 
 from scenes.assets.cleaning import Z_UP_FROM_Y_UP, RawPart
 from scenes.assets.imported import Emission, FoundLight, Imported, KeepImage, Node
 from scenes.assets.info import AssetError
 from scenes.assets.usd.lights import LightReader, write_map
-from scenes.assets.usd.materials import Picture, bound_surface, read_material, rgb_of
+from scenes.assets.usd.materials import Picture, bound_surface, package_of, read_material, rgb_of
 from scenes.assets.usd.shapes import SHAPES, Float64, Int64, read_shape
+from scenes.inside import OutsideError, held
 from scenes.spec import Material, Texture
 
 
 def open_stage(path: Path) -> Any:
     """Open a USD file; raises `AssetError` in one line with the file, what is wrong and the remedy."""
     try:
+        _check_layers(path)
         return Usd.Stage.Open(str(path))
+    except OutsideError as error:
+        raise AssetError(
+            f"{path} refers to a layer outside of its folder: {error}; flatten it, or pack it as USDZ"
+        ) from None
     except Tf.ErrorException as error:
         reason = str(error).strip().splitlines()[-1].strip()
         raise AssetError(f"{path} is not a readable USD file ({reason}); export it again") from error
+
+
+def _check_layers(path: Path) -> None:
+    """Raise `OutsideError` where a stage is composed of a layer outside of its folder, before that is opened."""
+    waiting, seen = [str(path)], set[str]()
+    while waiting:
+        name = waiting.pop()
+        held(path.parent, Path(package_of(name)))
+        layer = None if name in seen else Sdf.Layer.FindOrOpen(name)
+        seen.add(name)
+        if layer is None:
+            continue  # what is missing is told where the stage is composed
+        for asset in layer.GetCompositionAssetDependencies():
+            if asset.startswith("`"):
+                raise OutsideError(f"{asset} is worked out only while reading")
+            resolved = Ar.GetResolver().Resolve(Sdf.ComputeAssetPathRelativeToLayer(layer, asset))
+            waiting.append(str(resolved) or str(path))
 
 
 def world_from_stage(stage: Any) -> Float64:
