@@ -34,8 +34,10 @@ class LayerStack:
     radiance (L, H, W, 3) float32 linear Rec.709, one layer a light in the rig's order; combined (H, W, 3) float32,
     the renderer's own picture with all lights on. `geometry` comes with variant `all`. `coverage` (H, W) float32
     in [0, 1] comes with variant `foreground_<object>`: the object's share of the pixel's area; the radiance is
-    then the object's alone, premultiplied by it. guide_albedo, guide_normal (H, W, 3) float32: smooth guides for
-    the denoiser.
+    then the object's alone, premultiplied by it. `shown` (H, W) float32 in [0, 1] comes with variant
+    `without_<object>` of a renderer that knows it: the share of the pixel's samples that would show the object if it
+    were there, straight, in a mirror or through glass. guide_albedo, guide_normal (H, W, 3) float32: smooth guides
+    for the denoiser.
     """
 
     lights: tuple[str, ...]
@@ -43,5 +45,6 @@ class LayerStack:
     combined: Float32
     geometry: GeometryBuffers | None = None
     coverage: Float32 | None = None
+    shown: Float32 | None = None
     guide_albedo: Float32 | None = None
     guide_normal: Float32 | None = None

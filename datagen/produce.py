@@ -165,7 +165,7 @@ def _write_scene(maker: Maker, streams: Streams, work: Path, watch: Stopwatch) -
         write_view(path, rendered.data)
         record = record.model_copy(update={"views": (*record.views, _view_record(record.scene, path, rendered))})
         view = read_view(path)
-        faults = verify_rendered(record, number, view)
+        faults = verify_rendered(record, number, view, rendered.data)
         if before is not None:
             faults += verify_pair(record, (number - 1, before), (number, view))
         if faults:
@@ -240,4 +240,5 @@ def _view_record(scene: SceneSpec, path: Path, rendered: RenderedView) -> ViewRe
         c2w=camera.c2w,
         additivity=round(rendered.additivity, 9),
         energy=rendered.energy,
+        residuals=rendered.residuals,
     )

@@ -41,11 +41,24 @@ class AssetCredit(Frozen):
 class LayerEnergy(Frozen):
     """What one layer held before denoising, as radiance averaged over the colour channels.
 
-    `mean` over the picture, and `noise`, one pixel's standard deviation by `datagen.energy`.
+    `mean` over the picture, and `noise`, one pixel's standard deviation by `noise_variance`.
     """
 
     mean: float
     noise: float
+
+
+class Residuals(Frozen):
+    """How far a variant's denoised layers are from what was rendered, beyond noise (`datagen.residuals`).
+
+    `inside`: where the removed object was to be seen; `outside`: everywhere else. Each maps a light to the largest
+    residual; lights that are not named have none. `denoised_anew`: lights whose layers were denoised as a whole, since
+    what is cheaper did not hold the light that was rendered.
+    """
+
+    inside: dict[str, float] = Field(default_factory=dict)
+    outside: dict[str, float] = Field(default_factory=dict)
+    denoised_anew: tuple[str, ...] = ()
 
 
 class ViewRecord(Frozen):
@@ -53,7 +66,8 @@ class ViewRecord(Frozen):
 
     `K` is in pixels; `c2w` is camera-to-world with OpenGL axes, metres. `additivity` is the largest
     |sum of layers - combined| / (combined + mean) before denoising; `energy` holds, of each variant that is denoised
-    as a whole (`all`, `without_<object>`), what each light's layer carried then.
+    as a whole (`all`, `without_<object>`), what each light's layer carried then, and `residuals` how far the layer is
+    from that after denoising.
     """
 
     file: Annotated[str, Field(pattern=r"^views/[0-9]{2,6}\.exr$")]
@@ -65,6 +79,7 @@ class ViewRecord(Frozen):
     c2w: Matrix4
     additivity: float
     energy: dict[str, dict[str, LayerEnergy]]
+    residuals: dict[str, Residuals] = Field(default_factory=dict)
 
 
 class SceneRecord(Schema):

@@ -181,6 +181,11 @@ def _parse(content: bytes, name: str, kind: type[_Record]) -> _Record:
         raise StoreError(f"{name} is damaged or of another version: {key or 'content'}: {first['msg']}") from None
 
 
+def as_stored(layers: Float32) -> Float32:
+    """Return (L, H, W, 3) radiance as it reads back: each layer in half precision, or as it is where that overflows."""
+    return np.stack([_radiance(layer).astype(np.float32) for layer in layers])
+
+
 def _radiance(values: Float32) -> NDArray[np.floating]:
     return values.astype(np.float16) if float(values.max(initial=0.0)) <= HALF_MAX else values
 

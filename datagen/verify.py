@@ -9,14 +9,15 @@ import numpy as np
 from scipy.ndimage import binary_erosion
 
 from datagen import compose
-from datagen.energy import noise_variance, tolerance
 from datagen.errors import StoreError
 from datagen.exposure import BRIGHT, DARK
 from datagen.layers import Float32
-from datagen.records import SceneRecord, ViewRecord
+from datagen.records import SceneRecord
+from datagen.residuals import SIDES, residual
 from datagen.source import open_dataset
 from datagen.store import (
     ViewData,
+    as_stored,
     file_inside,
     file_sha256,
     read_dataset,
@@ -30,8 +31,8 @@ from lights.tonemap import luminance
 from scenes.cameras import reprojection_error
 
 ADDITIVITY = 1e-3  # raw layers against the renderer's own picture: float32 sums of half a dozen layers
-BLOCKS = 8  # blocks a side in which denoised layers are compared with the raw picture
-BAD_BLOCKS = 0.05  # share of them that may differ by more than their noise explains
+FAR = 0.2
+"""Of the local radiance, beyond noise: how far blocks of a denoised layer may be from what was rendered."""
 OVERLAP = 0.005  # rounding of half floats where coverages add up to one
 HALF = 2e-3  # twice the relative spacing of half floats, after sums
 REPROJECTION_SHARE = 0.97  # pixels that must land on or behind the other view's surface
@@ -112,9 +113,13 @@ def verify_view(record: SceneRecord, number: int, view: ViewData) -> list[Fault]
     return verify_rendered(record, number, view) + verify_exposure(record, number, brightness(record, view))
 
 
-def verify_rendered(record: SceneRecord, number: int, view: ViewData) -> list[Fault]:
-    """Check what of one view can be checked before other views are rendered and exposures metered."""
+def verify_rendered(record: SceneRecord, number: int, view: ViewData, made: ViewData | None = None) -> list[Fault]:
+    """Check what of one view can be checked before other views are rendered and exposures metered.
+
+    `made` is what `view` should hold, where that is known.
+    """
     found = [
+        *(("files", m) for m in (() if made is None else _stored(view, made))),
         *(("files", m) for m in _content(record, number, view)),
         *(("finite", m) for m in _finite(view)),
         *(("additivity", m) for m in _additivity(record, number, view)),
@@ -140,6 +145,14 @@ def _content(record: SceneRecord, number: int, view: ViewData) -> Iterator[str]:
         yield f"image is {view.geometry.z_depth.shape}, the camera {camera.height} x {camera.width}"
 
 
+def _stored(view: ViewData, made: ViewData) -> Iterator[str]:
+    """Hold what was read back to what was written: its residuals are known, and hold for what is on disk."""
+    order = [made.lights.index(light) for light in view.lights]
+    for variant, layers in made.variants.items():
+        if variant in view.variants and not np.array_equal(view.variants[variant], as_stored(layers[order])):
+            yield f"{variant} reads back other than it was written"
+
+
 def _finite(view: ViewData) -> Iterator[str]:
     for variant, layers in (*view.variants.items(), *((f"raw {name}", raw) for name, raw in view.raw.items())):
         for light, layer in zip(view.lights, layers, strict=True):
@@ -161,38 +174,19 @@ def _additivity(record: SceneRecord, number: int, view: ViewData) -> Iterator[st
     if rendered is not None and (off := _off(rendered, combined, np.ones(total.shape[:2], bool))) > 2 * HALF:
         yield f"stored layers differ from the combined render by {off:.2e} (limit {2 * HALF:.0e})"
     if record.denoised:
-        yield from _energies(stated, view)
-        yield from _blocks(total, combined)
+        yield from _denoised(view)
 
 
-def _energies(stated: ViewRecord, view: ViewData) -> Iterator[str]:
-    """Hold the mean of each denoised layer to what was rendered."""
-    for variant, lights in stated.energy.items():
-        for light, layer in zip(view.lights, view.variants.get(variant, ()), strict=False):
-            if light not in lights:
-                continue
-            rendered, stored = lights[light], float(layer.mean(dtype=np.float64))
-            allowed = float(tolerance(rendered.mean, rendered.noise, layer[..., 0].size))
-            if not abs(stored - rendered.mean) <= allowed:
-                yield (
-                    f"{variant}.{light} carries {stored:.4g}, but {rendered.mean:.4g} was rendered "
-                    f"(its noise explains a difference of {allowed:.2g})"
-                )
-
-
-def _blocks(total: Float32, combined: Float32) -> Iterator[str]:
-    """Hold the sum of the denoised layers to the raw picture in each of 8 x 8 blocks."""
-    height, width = (side // BLOCKS for side in combined.shape[:2])
-
-    def means(image: np.ndarray) -> np.ndarray:
-        cut = image[: BLOCKS * height, : BLOCKS * width]
-        return cut.reshape(BLOCKS, height, BLOCKS, width).mean(axis=(1, 3), dtype=np.float64)
-
-    rendered, stored = means(combined.mean(axis=-1)), means(total.mean(axis=-1))
-    allowed = tolerance(rendered, np.sqrt(means(noise_variance(combined))), height * width)
-    bad = np.abs(stored - rendered) > allowed + HALF * rendered.mean()
-    if bad.mean() > BAD_BLOCKS:
-        yield f"layers differ from the combined render by more than noise in {bad.sum()} of {bad.size} blocks"
+def _denoised(view: ViewData) -> Iterator[str]:
+    """Hold the denoised layers to what was rendered: their sum to `combined`, each of them where it was kept."""
+    layers = {"the sum of all layers": (view.variants["all"].sum(axis=0), view.combined)}
+    for variant, rendered in view.raw.items():
+        for light, pair in zip(view.lights, zip(view.variants[variant], rendered, strict=True), strict=True):
+            layers[f"{variant}.{light}"] = pair
+    anywhere = np.ones(view.combined.shape[:2], bool)
+    for name, pair in layers.items():
+        if (far := residual(*pair, anywhere, least_side=SIDES[-1])) > FAR:
+            yield f"{name} differs from what was rendered by {far:.2f} more than noise explains (limit {FAR})"
 
 
 def _composite(record: SceneRecord, view: ViewData) -> Iterator[str]:

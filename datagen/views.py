@@ -1,14 +1,15 @@
 """Render one view: every variant, light by light, denoised, with what the layers held before."""
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from datagen.backends import Backend, RenderJob, RenderSettings
 from datagen.denoise import denoise_all, denoise_foreground, denoise_without, foreground_layers
-from datagen.energy import noise_variance
 from datagen.layers import Float32, LayerStack
-from datagen.records import LayerEnergy
+from datagen.records import LayerEnergy, Residuals
+from datagen.residuals import Mask, noise_variance, residual
 from datagen.stopwatch import Stopwatch
 from datagen.store import ViewData
 from lights.spec import LightRig
@@ -32,11 +33,13 @@ class Shoot:
 
 @dataclass(frozen=True)
 class RenderedView:
-    """A view to be stored; how far its raw layers are from the renderer's own picture, and what they held."""
+    """A view to be stored; how far its raw layers are from the renderer's own picture, what they held, and how far the
+    denoised ones are from them (by variant; empty where nothing is denoised)."""
 
     data: ViewData
     additivity: float
     energy: dict[str, dict[str, LayerEnergy]]
+    residuals: dict[str, Residuals]
 
 
 def render_view(shoot: Shoot, view: int, watch: Stopwatch) -> RenderedView:
@@ -52,10 +55,10 @@ def render_view(shoot: Shoot, view: int, watch: Stopwatch) -> RenderedView:
     foregrounds = _within_pixels({name: render(f"foreground_{name}") for name in names})
     without = {name: render(f"without_{name}") for name in names}
     raw = _as_rendered(everything, without, foregrounds)
-    variants = raw
+    variants, residuals = raw, dict[str, Residuals]()
     if shoot.denoise:
         with watch.stage("denoise"):
-            variants = _denoised(everything, without, foregrounds, threads=max(1, shoot.settings.threads))
+            variants, residuals = _denoised(everything, without, foregrounds, threads=max(1, shoot.settings.threads))
     coverage = {name: stack.coverage for name, stack in foregrounds.items() if stack.coverage is not None}
     free = np.clip(1.0 - sum(coverage.values()), 0.0, 1.0)
     geometry = replace(everything.geometry, environment=np.minimum(everything.geometry.environment, free))
@@ -63,7 +66,7 @@ def render_view(shoot: Shoot, view: int, watch: Stopwatch) -> RenderedView:
     data = ViewData(shoot.rig.names, variants, coverage, geometry, everything.combined, kept)
     whole = {"all": everything} | {f"without_{name}": stack for name, stack in without.items()}
     energy = {variant: layer_energies(stack) for variant, stack in whole.items()}
-    return RenderedView(data, additivity_residual(everything), energy)
+    return RenderedView(data, additivity_residual(everything), energy, residuals)
 
 
 def _as_rendered(everything: LayerStack, without: Stacks, foregrounds: Stacks) -> dict[str, Float32]:
@@ -74,13 +77,49 @@ def _as_rendered(everything: LayerStack, without: Stacks, foregrounds: Stacks) -
     return variants
 
 
-def _denoised(everything: LayerStack, without: Stacks, foregrounds: Stacks, *, threads: int) -> dict[str, Float32]:
+def _denoised(
+    everything: LayerStack, without: Stacks, foregrounds: Stacks, *, threads: int
+) -> tuple[dict[str, Float32], dict[str, Residuals]]:
     clean = denoise_all(everything, threads=threads)
-    variants = {"all": clean}
+    anywhere = np.ones(clean.shape[1:3], bool)
+    left = (residual(layer, raw, anywhere) for layer, raw in zip(clean, everything.radiance, strict=True))
+    variants, residuals = {"all": clean}, {"all": Residuals(outside=_largest(everything.lights, left))}
     for name, stack in without.items():
-        variants[f"without_{name}"] = denoise_without(stack, everything, clean, threads=threads)
+        removed = denoise_without(
+            stack, everything, clean, shown_in(everything, stack, foregrounds[name]), threads=threads
+        )
+        variants[f"without_{name}"] = removed.layers
         variants[f"foreground_{name}"] = denoise_foreground(foregrounds[name], clean, threads=threads)
-    return variants
+        residuals[f"without_{name}"] = Residuals(
+            inside=_largest(stack.lights, removed.inside),
+            outside=_largest(stack.lights, removed.outside),
+            denoised_anew=removed.anew,
+        )
+    return variants, residuals
+
+
+def _largest(lights: Sequence[str], found: Iterable[float]) -> dict[str, float]:
+    """Keep what differs at all, to four digits."""
+    return {light: float(f"{value:.4g}") for light, value in zip(lights, found, strict=True) if value > 0}
+
+
+def shown_in(everything: LayerStack, without: LayerStack, foreground: LayerStack) -> Mask:
+    """Tell where a removed object was to be seen at all: straight, in a mirror or through glass, (H, W).
+
+    Mitsuba counts the samples that show it. Cycles' guides see through glass and mirrors themselves, so that where they
+    differ in any bit something else is seen there.
+    """
+    assert foreground.coverage is not None
+    shown = foreground.coverage > 0
+    if without.shown is not None:
+        shown |= without.shown > 0
+    for guide, other in (
+        (everything.guide_albedo, without.guide_albedo),
+        (everything.guide_normal, without.guide_normal),
+    ):
+        if guide is not None and other is not None:
+            shown |= (guide != other).any(axis=-1)
+    return shown
 
 
 def _within_pixels(foregrounds: Stacks) -> Stacks:

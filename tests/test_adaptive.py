@@ -18,7 +18,7 @@ import drjit as dr
 import mitsuba as mi
 
 from datagen.backends.mitsuba import MitsubaBackend, adaptive, sampling
-from datagen.backends.mitsuba.adaptive import FIRST, MOST, Blocks, blocks_of, first_blocks, further_blocks
+from datagen.backends.mitsuba.adaptive import FIRST, MOST, Blocks, Pilot, blocks_of, first_blocks, further_blocks
 from datagen.backends.mitsuba.film import Film
 from datagen.backends.mitsuba.sampling import Sampler, stream_of
 
@@ -72,12 +72,19 @@ def test_film_adds_up_each_pixels_blocks():
     np.testing.assert_allclose(film.mean(("all", ""))[0], (total / samples[:, None]).reshape(3, 4, 3), rtol=1e-6)
 
 
-def shared_out(grey, guides, spp, cost=1.0):
+def pilot(grey, guides):
+    """What blocks (L, H, W, FIRST) of layers that have no hue tell."""
+    colours = np.repeat(grey[..., None], 3, axis=-1)
+    variance = colours.var(axis=3, ddof=1).sum(axis=(0, -1))
+    return Pilot(colours.mean(axis=3).sum(axis=(0, -1)), variance, guides.astype(np.float32))
+
+
+def shared_out(grey, guides, spp, cost=1.0, *others):
     """Share out the rest of `spp` samples; returns each pixel's samples, (H, W)."""
     height, width, _ = guides.shape
     first = first_blocks(height * width, spp)
     costs = np.broadcast_to(np.float32(cost), (height, width))
-    further = further_blocks(first, grey.astype(np.float32), costs, guides.astype(np.float32), spp)
+    further = further_blocks(first, [pilot(grey, guides), *others], costs, spp)
     _is_followed(first, further)
     counts = np.bincount(first.pixel, minlength=height * width) + np.bincount(further.pixel, minlength=height * width)
     return counts.reshape(height, width) * first.size
@@ -111,6 +118,35 @@ def test_samples_go_where_a_denoiser_finds_little_that_looks_alike():
     assert samples[:, 36:].mean() > 1.3 * samples[:, :28].mean()
 
 
+def test_samples_go_where_a_background_is_noisy_that_an_object_hides():
+    """What lies behind a smooth object is seen in the variant without it, and is to be no noisier there."""
+    rng = np.random.default_rng(6)
+    noise = 0.1 * rng.standard_normal((1, 48, 64, FIRST))
+    object_, guides = np.zeros((48, 64), bool), np.zeros((48, 64, 6))
+    object_[10:38, 20:44] = True
+    texture = np.concatenate([rng.random((48, 64, 3)), guides[..., 3:]], axis=-1)
+    everything = 1 + noise * ~object_[..., None]
+    hidden = np.where(object_[..., None], 0, texture)
+    behind = pilot(1 + noise, texture)
+    inner, outer = np.s_[14:34, 24:40], np.s_[:, :16]
+    alone = shared_out(everything, hidden, 32)
+    assert alone[inner].mean() < 0.7 * alone[outer].mean()
+    samples = shared_out(everything, hidden, 32, 1.0, behind)
+    assert samples[inner].mean() == pytest.approx(samples[outer].mean(), rel=0.05)
+
+
+def test_film_tells_the_variance_of_blocks_in_every_channel():
+    """Noise of hue alone counts: the channels' variances are added, not taken of their mean."""
+    rng = np.random.default_rng(7)
+    sums = rng.random((3, 12, FIRST)).astype(np.float32)
+    sums[2] = 3 - sums[0] - sums[1]
+    film, key = Film(3, 4), ("all", "")
+    film.add(blocks_of(np.full(12, FIRST), 1), [(key, [mi.Color3f(sums.reshape(3, -1))])], squares=[key])
+    mean, variance = film.variance(key, FIRST)
+    np.testing.assert_allclose(mean, np.full((3, 4), 3.0), rtol=1e-5)
+    np.testing.assert_allclose(variance.ravel(), sums.var(axis=-1, ddof=1).sum(axis=0), rtol=1e-4)
+
+
 def test_costly_pixels_get_fewer_samples_and_all_cost_what_was_asked_for():
     grey = 1 + 0.1 * np.random.default_rng(4).standard_normal((1, 48, 64, FIRST))
     cost = np.where(np.arange(64) < 32, 1.0, 4.0) * np.ones((48, 1))
@@ -125,7 +161,7 @@ def test_a_pixels_own_noise_brings_it_no_samples():
     grey += 0.1 * np.random.default_rng(3).standard_normal(grey.shape)
     brighter = grey.copy()
     brighter[0, 8, 8, 0] += 1
-    need, changed = (adaptive._noise(g.astype(np.float32)) * g.mean() for g in (grey, brighter))
+    need, changed = (adaptive._noise(pilot(g, np.zeros((16, 16, 6)))) * g.mean() for g in (grey, brighter))
     assert changed[8, 8] < need[8, 8]  # the picture is brighter there, so that its noise is seen less
     assert changed[8, 7] > 1.2 * need[8, 7]  # but its neighbours get more
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from datagen.cli import main
-from datagen.energy import noise_variance, tolerance
 from datagen.exposure import DARK, LIFTED_BRIGHT, LIFTED_DARK, meter_condition
 from datagen.layers import Float32
 from datagen.store import ViewData, file_sha256, read_scene, read_view, scene_dir, view_file, write_text, write_view
@@ -116,19 +115,6 @@ def test_changed_bytes_and_missing_files_are_found(spheres_copy: Path) -> None:
     assert [(f.check, f.view) for f in verify_scene(first)] == [("files", 0)]
     write_view(second / view_file(2), read_view(second / view_file(1)))
     assert ("files", 2) in [(f.check, f.view) for f in verify_scene(second)]
-
-
-def test_noise_is_estimated_from_one_picture() -> None:
-    rng = np.random.default_rng(0)
-    smooth = np.linspace(1.0, 2.0, 200, dtype=np.float32)[:, None, None] * np.ones((1, 150, 3), np.float32)
-    noisy = smooth + rng.normal(0.0, 0.3, (200, 150, 1)).astype(np.float32)
-    assert np.sqrt(noise_variance(noisy).mean()) == pytest.approx(0.3, rel=0.02)
-    assert np.sqrt(noise_variance(smooth).mean()) < 0.01
-
-
-def test_tolerance_grows_with_noise_and_shrinks_with_pixels() -> None:
-    assert tolerance(1.0, 0.0, 100) == pytest.approx(0.02)
-    assert tolerance(1.0, 1.0, 100) > tolerance(1.0, 1.0, 10_000) > tolerance(1.0, 0.1, 10_000)
 
 
 def test_a_view_that_would_be_black_is_brightened() -> None:

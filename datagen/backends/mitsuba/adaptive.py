@@ -8,11 +8,12 @@ blocks, each of them well distributed in itself (a power of two of Sobol' points
 differences tell the variance, and then the rest where they serve most.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
+from scipy.ndimage import find_objects, maximum_filter, uniform_filter
 
 from datagen.layers import Float32
 
@@ -24,7 +25,7 @@ MOST = 8
 """Times the mean number of samples that one pixel gets at most."""
 EVEN = 0.6
 """What every pixel needs, in units of the mean need."""
-WINDOW = 5  # pixels: where variance is estimated, and where a denoiser finds what looks alike
+WINDOW, REACH = 5, 2  # pixels: where variance is estimated, and where a denoiser finds what looks alike
 ALIKE = 0.2  # standard deviation of the kernel by which guides (albedo, normal) are compared
 
 
@@ -58,38 +59,58 @@ def first_blocks(pixels: int, spp: int) -> Blocks:
     return blocks_of(np.full(pixels, FIRST), 1 << (spp // USUAL).bit_length() - 1)
 
 
-def further_blocks(first: Blocks, grey: Float32, cost: Float32, guides: Float32, spp: int) -> Blocks:
+@dataclass(frozen=True)
+class Pilot:
+    """What a variant's first blocks tell of it, summed over layers and channels: `mean` (H, W) of a block, `variance`
+    (H, W) between a pixel's blocks. `guides` (H, W, G) are what a denoiser goes by."""
+
+    mean: Float32
+    variance: Float32
+    guides: Float32
+
+
+def further_blocks(first: Blocks, pilots: Sequence[Pilot], cost: Float32, spp: int) -> Blocks:
     """Share out what is left of the cost of `spp` samples for each pixel.
 
-    `grey` (L, H, W, FIRST) is what the `first` blocks add up to in each layer, `cost` (H, W) what one costs,
-    `guides` (H, W, G) what a denoiser goes by.
+    `pilots` are of the variants, `all` first. They share their samples, so a pixel gets what the neediest of them
+    needs: else a background would be noisier, or cleaner, where an object stood. `cost` (H, W) is what a block costs.
     """
-    height, width, _ = guides.shape
     cost = uniform_filter(cost, WINDOW).ravel()
     # What is not a number is for those to find who check the pictures.
-    need = np.nan_to_num(_noise(grey) / np.sqrt(_alike(guides)), nan=0.0, posinf=0.0).ravel()
-    left = (spp * height * width // first.size - len(first)) * float(cost.mean())
+    need = np.nan_to_num(_need(pilots), nan=0.0, posinf=0.0).ravel()
+    left = (spp * cost.size // first.size - len(first)) * float(cost.mean())
     return blocks_of(_shared_out(need, cost, left, MOST * spp // first.size), first.size, after=FIRST)
 
 
-def _noise(grey: Float32) -> Float32:
+def _need(pilots: Sequence[Pilot]) -> Float32:
+    guides = pilots[0].guides
+    usual = _alike(guides)
+    need = _noise(pilots[0]) / np.sqrt(usual)
+    for pilot in pilots[1:]:
+        alike = usual.copy()
+        other = maximum_filter((pilot.guides != guides).any(axis=-1), WINDOW)
+        for box in find_objects(other.astype(int)):
+            reached = tuple(slice(max(0, side.start - REACH), side.stop + REACH) for side in box)
+            alike[reached] = np.where(other[reached], _alike(pilot.guides[reached]), alike[reached])
+        need = np.maximum(need, _noise(pilot) / np.sqrt(alike))
+    return need
+
+
+def _noise(pilot: Pilot) -> Float32:
     """Return a block's standard deviation over the local brightness, with all lights on, (H, W).
 
     The variance is that of a pixel's neighbours, not its own: a number of samples that depends on what they show
     would bias their mean.
     """
-    mean = grey.mean(axis=-1).sum(axis=0)
-    variance = grey.var(axis=-1, ddof=1).sum(axis=0)
-    relative = variance / np.square(uniform_filter(mean, 3) + mean.mean() + 1e-30)
+    relative = pilot.variance / np.square(uniform_filter(pilot.mean, 3) + pilot.mean.mean() + 1e-30)
     around = uniform_filter(relative, WINDOW) * WINDOW**2 - relative
     return np.sqrt(np.maximum(around, 0) / (WINDOW**2 - 1))
 
 
 def _alike(guides: Float32) -> Float32:
     """Return how many pixels of the window look like the one in its centre, by a Gaussian kernel, (H, W)."""
-    reach = WINDOW // 2
     height, width, _ = guides.shape
-    padded = np.pad(guides, ((reach, reach), (reach, reach), (0, 0)), mode="edge")
+    padded = np.pad(guides, ((REACH, REACH), (REACH, REACH), (0, 0)), mode="edge")
     found = np.zeros((height, width), np.float32)
     for down in range(WINDOW):
         for right in range(WINDOW):

@@ -1,7 +1,7 @@
 """`MitsubaBackend`: one job in, one `LayerStack` out; a view's variants come from one set of paths."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Self
 
@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from datagen.backends import BackendError, RenderJob, RenderSettings, split_variant
-from datagen.backends.mitsuba.adaptive import FIRST, Blocks, first_blocks, further_blocks
+from datagen.backends.mitsuba.adaptive import FIRST, Blocks, Pilot, first_blocks, further_blocks
 from datagen.backends.mitsuba.arrays import Textures, scene_arrays
 from datagen.backends.mitsuba.bsdf import Tables
 from datagen.backends.mitsuba.cameras import Lens
@@ -67,8 +67,7 @@ class MitsubaBackend:
             geometry = geometry_buffers(synced.world, job.scene.cameras[job.view], view.uncovered)
             return replace(view.stack(job.rig, view.everything), geometry=geometry)
         if action == "without":
-            albedo, normal = view.guides[name]
-            return replace(view.stack(job.rig, view.without[name]), guide_albedo=albedo, guide_normal=normal)
+            return replace(view.stack(job.rig, view.without[name], name), shown=view.shown[name])
         return replace(view.stack(job.rig, view.foreground[name]), coverage=view.coverage[name])
 
     def _sync(self, job: RenderJob) -> "_Synced":
@@ -101,28 +100,28 @@ class MitsubaBackend:
 
 @dataclass
 class _Pictures:
-    """Means over a view's samples: variants as (L, H, W, 3), by object; masks (H, W).
+    """Means over a view's samples, by object: variants (L, H, W, 3), masks (H, W), and the denoiser's guides.
 
-    albedo, normal (H, W, 3) guide the denoiser; `guides` (2, H, W, 3) do where an object is removed.
+    These are albedo and normal, (2, H, W, 3): of the whole scene under no name, else where the object is removed.
     """
 
     everything: Float32
-    albedo: Float32
-    normal: Float32
     uncovered: Float32
-    without: dict[str, Float32] = field(default_factory=dict)
-    guides: dict[str, Float32] = field(default_factory=dict)
-    foreground: dict[str, Float32] = field(default_factory=dict)
-    coverage: dict[str, Float32] = field(default_factory=dict)
+    guides: dict[str, Float32]
+    without: dict[str, Float32]
+    foreground: dict[str, Float32]
+    coverage: dict[str, Float32]
+    shown: dict[str, Float32]
 
-    def stack(self, rig: LightRig, layers: Float32) -> LayerStack:
+    def stack(self, rig: LightRig, layers: Float32, removed: str = "") -> LayerStack:
         """Wrap a variant's layers."""
+        albedo, normal = self.guides[removed]
         return LayerStack(
             lights=rig.names,
             radiance=layers,
             combined=layers.sum(axis=0),
-            guide_albedo=self.albedo,
-            guide_normal=self.normal,
+            guide_albedo=albedo,
+            guide_normal=normal,
         )
 
 
@@ -153,33 +152,37 @@ class _Synced:
         film = Film(camera.height, camera.width)
         lens = Lens(camera)
 
-        def batches(blocks: Blocks) -> Iterator[_Batch]:
-            at_once = max(1, LANES // blocks.size)
+        names = self.scene.insertable
+        told = (("all", ""), *(("without", name) for name in names))
+
+        def sample(blocks: Blocks, squares: Sequence[Key] = ()) -> Float32:
+            """Add samples to the film; returns what each of their blocks cost."""
+            costs, at_once = [], max(1, LANES // blocks.size)
             for start in range(0, len(blocks), at_once):
                 part = blocks[start : start + at_once]
                 batch = _Batch(self, lens, camera, settings, (number, part))
-                film.add(part, batch.values())
-                yield batch
+                film.add(part, batch.values(), squares=squares)
+                costs.append(batch.cost())
+            return np.concatenate(costs)
 
         first = first_blocks(camera.width * camera.height, settings.spp)
-        pilots = [(batch.grey(), batch.cost()) for batch in batches(first)]
-        if settings.spp > first.size:
-            grey, cost = (np.concatenate(parts, axis=-1) for parts in zip(*pilots, strict=True))
-            cost = cost.reshape(camera.height, camera.width, FIRST).mean(axis=-1)
-            guides = np.concatenate([film.mean(("albedo", ""))[0], film.mean(("normal", ""))[0]], axis=-1)
-            grey = grey.reshape(-1, camera.height, camera.width, FIRST)
-            for _ in batches(further_blocks(first, grey, cost, guides, settings.spp)):
-                pass
-        names = self.scene.insertable
+        if settings.spp == first.size:
+            sample(first)
+        else:
+            cost = sample(first, told).reshape(camera.height, camera.width, FIRST).mean(axis=-1)
+            pilots = [
+                Pilot(*film.variance(key, FIRST), np.concatenate([*film.mean(("guides", key[1]))], axis=-1))
+                for key in told
+            ]
+            sample(further_blocks(first, pilots, cost, settings.spp))
         return _Pictures(
             everything=film.mean(("all", "")),
-            albedo=film.mean(("albedo", ""))[0],
-            normal=film.mean(("normal", ""))[0],
             uncovered=film.mean(("uncovered", ""))[0, ..., 0],
+            guides={name: film.mean(("guides", name)) for name in ("", *names)},
             without={name: film.mean(("without", name)) for name in names},
-            guides={name: film.mean(("without guides", name)) for name in names},
             foreground={name: film.mean(("foreground", name)) for name in names},
-            coverage={name: film.mean(("coverage", name))[0, ..., 0] for name in names},
+            coverage={name: film.mean(("masks", name))[0, ..., 0] for name in names},
+            shown={name: film.mean(("masks", name))[0, ..., 1] for name in names},
         )
 
 
@@ -201,21 +204,16 @@ class _Batch:
         """Give what the samples bring to each variant and mask of an object."""
         scene, book = self._synced.scene, self._book
         yield ("all", ""), book.layers
-        yield ("albedo", ""), [book.albedo]
-        yield ("normal", ""), [book.normal]
+        yield ("guides", ""), [book.albedo, book.normal]
         yield ("uncovered", ""), [mi.Color3f(dr.select(book.covered, mi.Float(0), 1))]
         for place, name in enumerate(scene.insertable):
             mine = book.first == scene.instance_id(name)
-            yield ("coverage", name), [mi.Color3f(dr.select(mine, mi.Float(1), 0))]
+            seen = (book.seen >> place) & 1 != 0
+            yield ("masks", name), [mi.Color3f(dr.select(mine, mi.Float(1), 0), dr.select(seen, mi.Float(1), 0), 0)]
             yield ("foreground", name), [dr.select(mine, layer, 0) for layer in book.layers]
             *layers, albedo, normal = self._without(book, name, place)
             yield ("without", name), layers
-            yield ("without guides", name), [albedo, normal]
-
-    def grey(self) -> Float32:
-        """Return what the samples of each of N blocks add up to in variant `all`, without hue, (L, N)."""
-        sums = [np.array(dr.block_sum(dr.mean(layer), self._size)) for layer in self._book.layers]
-        return np.stack(sums)
+            yield ("guides", name), [albedo, normal]
 
     def cost(self) -> Float32:
         """Return how often rays were followed for the samples of each of N blocks, in all variants, (N,)."""
@@ -250,5 +248,5 @@ class _Batch:
         film = mi.Point2f(mi.Float(pixel - row * width) + inside.x, mi.Float(row) + inside.y)
         ray = self._lens.rays(film, sampler.next_2d(LENS, BEFORE_PATHS))
         book = trace(self._synced._worlds[removed], ray, sampler, max_bounces=self._settings.max_bounces)
-        dr.eval(book.layers, book.met, book.first, book.covered, book.albedo, book.normal, book.steps)
+        dr.eval(book.layers, book.met, book.seen, book.first, book.covered, book.albedo, book.normal, book.steps)
         return book

@@ -19,6 +19,8 @@ from datagen.backends.mitsuba.surfaces import Hit, Soup, Surfaces
 SEE_THROUGH_SURFACES = 32
 FILTER_GLOSSY = 0.25
 """Cycles' `blur_glossy`: after a diffuse bounce lobes get at least some width, against fireflies."""
+SHARP = 10.0
+"""Density (1/sr) of directions above which a bounce shows a picture of what it meets: GGX of roughness below 0.3."""
 ROULETTE_FROM = 3
 LIGHT, LOBE, DIRECTION, ROULETTE, OPACITY = 16, 0, 1, 2, 3
 
@@ -55,6 +57,8 @@ class Book:
     normal: mi.Normal3f
     steps: mi.UInt32
     """How often a ray was followed."""
+    seen: mi.UInt32
+    """Of the removable bodies that were met, those that the path saw: straight, in mirrors or through glass."""
 
 
 def _weight(a: mi.Float, b: mi.Float) -> mi.Float:
@@ -137,6 +141,7 @@ def trace(world: World, ray: mi.Ray3f, sampler: Sampler, *, max_bounces: int, on
             mi.Color3f(0),
             mi.Normal3f(0),
             mi.UInt32(0),
+            mi.UInt32(0),
         ),
     }
 
@@ -156,7 +161,9 @@ def _vertex(world: World, s: dict, max_bounces: int, one_light: bool) -> dict:
     found = active & pi.is_valid()
     face = world.whole.face(pi, found)
     hit = world.surfaces.hit(face, pi.prim_uv, mi.Ray3f(s["o"], s["d"]), found)
-    book.met |= dr.select(found, dr.gather(mi.UInt32, world.bits, hit.body, found), 0)
+    bit = dr.select(found, dr.gather(mi.UInt32, world.bits, hit.body, found), 0)
+    book.met |= bit
+    book.seen |= dr.select(s["least_pdf"] > SHARP, bit, 0)
     distance = s["travelled"] + dr.select(found, pi.t, dr.inf)
     solid = mi.Bool(found)
     if world.surfaces.see_through:
