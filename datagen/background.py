@@ -5,7 +5,6 @@ import hashlib
 import os
 import subprocess
 import sys
-import uuid
 from pathlib import Path
 
 from datagen.config import DatasetConfig
@@ -14,6 +13,7 @@ from scenes.assets.background import PACK
 from scenes.assets.cache import default_cache, sources_key
 from scenes.assets.library import AssetError, AssetLibrary
 from scenes.custom import background_bodies, find_places
+from scenes.whole import write_whole
 
 SECONDS = 600
 """Longest that the conversion of a .blend file may take."""
@@ -67,20 +67,19 @@ def converted_blend(file: Path, cache: Path) -> Path:
     if target.is_file():
         return target
     target.parent.mkdir(parents=True, exist_ok=True)
-    work = target.with_name(f".{uuid.uuid4().hex}.glb")
-    command = [sys.executable, "-m", _CONVERTER, str(file.resolve()), str(work)]
-    try:
-        root = str(Path(__file__).parents[1])
-        environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, [root, os.environ.get("PYTHONPATH")]))}
-        done = subprocess.run(command, capture_output=True, text=True, timeout=SECONDS, env=environment, check=False)
+    root = str(Path(__file__).parents[1])
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, [root, os.environ.get("PYTHONPATH")]))}
+    with write_whole(target) as work:
+        command = [sys.executable, "-m", _CONVERTER, str(file.resolve()), str(work)]
+        try:
+            done = subprocess.run(
+                command, capture_output=True, text=True, timeout=SECONDS, env=environment, check=False
+            )
+        except subprocess.TimeoutExpired:
+            raise AssetError(f"{file} took Blender more than {SECONDS} s to convert; export it as GLB") from None
         if not work.is_file():
             said = [line for line in done.stderr.splitlines() if line.strip()] or [f"exit code {done.returncode}"]
             raise AssetError(
                 f"{file} cannot be converted ({said[-1].strip()}); open and save it in Blender 4.5 or newer"
             )
-        work.replace(target)
-    except subprocess.TimeoutExpired:
-        raise AssetError(f"{file} took Blender more than {SECONDS} s to convert; export it as GLB") from None
-    finally:
-        work.unlink(missing_ok=True)
     return target

@@ -14,6 +14,7 @@ from datagen.packed import PackedView, pack_view, read_packed
 from datagen.records import SceneRecord
 from datagen.source import DatasetSource, open_dataset
 from datagen.store import view_file
+from scenes.whole import write_whole
 
 VISIBLE = "visible.parquet"
 """Marks a packed dataset: how much of each view every insertable object covers."""
@@ -119,7 +120,6 @@ def _seen_before(source: DatasetSource) -> pl.DataFrame:
     table = pl.DataFrame(rows, {"scene": pl.Int64, "view": pl.Int64, "object": pl.String, "pixels": pl.Float64})
     with contextlib.suppress(OSError):  # a home that cannot be written costs time only
         cache.parent.mkdir(parents=True, exist_ok=True)
-        temporary = cache.with_suffix(f".{os.getpid()}.tmp")
-        table.write_parquet(temporary)
-        temporary.replace(cache)
+        with write_whole(cache) as work:
+            table.write_parquet(work)
     return table

@@ -14,11 +14,13 @@ from torch import Tensor, nn
 from torch.optim import Optimizer
 
 from datagen.errors import UserError
+from datagen.store import write_text
 from model.compositing2d import Compositing2D
 from model.compositing3d import Compositing3D, SceneNetwork, scene_network
 from model.config import NetworkConfig, TrainingConfig
 from model.config3d import SceneNetworkConfig
 from model.points3d import PointTransformer
+from scenes.whole import write_whole
 
 Tensors = dict[str, Tensor]
 Network = TypeVar("Network", Compositing2D, Compositing3D | PointTransformer)
@@ -45,9 +47,7 @@ def save_checkpoint(
     name = f"step_{progress.step:06d}"
     _write_tensors(folder / f"{name}.safetensors", tensors, {})
     record = {"schema_version": SCHEMA_VERSION, "progress": asdict(progress), "config": config.model_dump(mode="json")}
-    temporary = folder / f"{name}.json.tmp"
-    temporary.write_text(json.dumps(record, indent=1))
-    temporary.replace(folder / f"{name}.json")
+    write_text(folder / f"{name}.json", json.dumps(record, indent=1))
     for old in folder.glob("step_*"):
         if not old.name.startswith(f"{name}."):
             old.unlink()
@@ -136,9 +136,8 @@ def weights_header(path: Path) -> dict[str, str]:
 
 
 def _write_tensors(path: Path, tensors: Tensors, header: dict[str, str]) -> None:
-    temporary = path.with_name(path.name + ".tmp")
-    save_file({k: v.detach().cpu().contiguous() for k, v in tensors.items()}, temporary, metadata=header)
-    temporary.replace(path)
+    with write_whole(path) as work:
+        save_file({k: v.detach().cpu().contiguous() for k, v in tensors.items()}, work, metadata=header)
 
 
 def _read_tensors(path: Path) -> tuple[Tensors, dict[str, str]]:

@@ -1,7 +1,6 @@
 """Triangle meshes as backends receive them, and the plain shapes as meshes."""
 
 import hashlib
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +9,7 @@ from numpy.typing import NDArray
 
 from scenes.frozen import Frozen
 from scenes.spec import Material, Rectangle, Sphere
+from scenes.whole import write_whole
 
 
 @dataclass(frozen=True)
@@ -85,15 +85,14 @@ class _Header(Frozen):
 
 
 def save_mesh(mesh: Mesh, path: Path) -> None:
-    """Write a mesh as an uncompressed NPZ, under a temporary name first."""
+    """Write a mesh as an uncompressed NPZ, whole or not at all."""
     header = _Header(names=tuple(p.name for p in mesh.parts), materials=tuple(p.material for p in mesh.parts))
     arrays: dict[str, NDArray[np.generic]] = {"header": np.frombuffer(header.canonical_json().encode(), np.uint8)}
     for i, part in enumerate(mesh.parts):
         arrays |= {f"v{i}": part.vertices, f"f{i}": part.faces, f"n{i}": part.normals, f"t{i}": part.uv}
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f"{path.stem}.{os.getpid()}.{id(mesh):x}.tmp.npz")
-    np.savez(temporary, **arrays)
-    temporary.replace(path)
+    with write_whole(path) as work:
+        np.savez(work, **arrays)
 
 
 def load_mesh(path: Path) -> Mesh:

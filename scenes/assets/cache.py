@@ -3,11 +3,11 @@
 import hashlib
 import json
 import os
-import uuid
 from collections.abc import Callable
 from pathlib import Path
 
 from scenes.assets.info import AssetError
+from scenes.whole import write_whole
 
 
 def default_cache() -> Path:
@@ -17,20 +17,16 @@ def default_cache() -> Path:
 
 
 def write_once(path: Path, write: Callable[[Path], None]) -> Path:
-    """Make `path` by writing under a temporary name and renaming; does nothing where it is there already.
+    """Make `path`, whole or not at all; does nothing where it is there already.
 
     Raises `AssetError` where the cache cannot be written to.
     """
-    temporary = path.with_name(f".{uuid.uuid4().hex}.tmp{path.suffix}")
     try:
         if path.exists():
             return path
         path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            write(temporary)
-            temporary.replace(path)
-        finally:
-            temporary.unlink(missing_ok=True)
+        with write_whole(path) as work:
+            write(work)
     except OSError as error:
         raise AssetError(
             f"cannot write {path}: {error.strerror or error}; free some space or set MULTILIGHT_CACHE"
