@@ -27,15 +27,15 @@ class DiskFullError(RunStoppedError):
 
 @contextlib.contextmanager
 def full_disk_told(folder: Path) -> Iterator[None]:
-    """Turn whatever a full disk under `folder` makes fail into `DiskFullError`."""
+    """Turn whatever a full disk under `folder`, a quota or a limit of size makes fail into `DiskFullError`."""
     try:
         yield
     except UserError:
         raise
     except Exception as error:
-        stated = isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT)
+        stated = isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
         if stated or shutil.disk_usage(folder).free < FULL:
             raise DiskFullError(
-                f"{folder}: no space left; free some and run the same command again, finished scenes are kept"
+                f"{folder}: no space left; free some and run the same command again, what is finished is kept"
             ) from error
         raise

@@ -126,7 +126,7 @@ def write_packed(path: Path, view: PackedView) -> None:
 
 
 def read_packed(path: Path) -> PackedView:
-    """Read a packed view; raises `StoreError` naming the file where it is missing, truncated or foreign."""
+    """Read a packed view; raises `StoreError` naming the file where it is missing, truncated, foreign or damaged."""
     try:
         with safe_open(path, "numpy") as stored:  # checks the header against the file
             named = json.loads((stored.metadata() or {}).get("multilight", "{}"))
@@ -140,9 +140,27 @@ def read_packed(path: Path) -> PackedView:
         raise StoreError(f"{path} cannot be read (truncated or damaged): {error}") from None
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise StoreError(f"{path} is damaged: {error}") from None
-    if fault := _fault(view):
+    if fault := _fault(view) or value_fault(view):
         raise StoreError(f"{path} is damaged: {fault}")
     return view
+
+
+def value_fault(view: PackedView) -> str:
+    """Name what holds values that no view has, or nothing: NaN, infinite or negative radiance, depth or coverage."""
+    for name in ("all", "tiles", "alpha", "z_depth", "conditions"):
+        if not _sound(getattr(view, name)):
+            return f"{name} holds NaN, infinite or negative values"
+    if view.alpha.max(initial=0) > 1:
+        return "alpha holds values above 1"
+    return "" if np.isfinite(view.K).all() and np.isfinite(view.c2w).all() else "its camera is not finite"
+
+
+def _sound(values: NDArray[np.floating]) -> bool:
+    """Say whether all are finite and not negative; by their bits, in a fiftieth of the time."""
+    bits, infinite = (np.uint16, 0x7C00) if values.itemsize == 2 else (np.uint32, 0x7F800000)
+    if values.view(bits).max(initial=0) < infinite:  # the sign is the highest bit, and of -0 too
+        return True
+    return bool(np.isfinite(values).all() and values.min(initial=0) >= 0)
 
 
 def _mapped(path: Path) -> dict[str, NDArray[Any]]:
@@ -168,7 +186,10 @@ class _Pool:
     def numbers(self, layers: NDArray[np.floating], known: NDArray[np.floating] | None = None) -> NDArray[np.int32]:
         """Return numbers (L, T) of tiles (L, T, C, 16, 16), adding those that are new; `SAME` where `known` has it."""
         result = np.full(layers.shape[:2], SAME, np.int32)
-        differs = np.ones(result.shape, bool) if known is None else (layers != known).any(axis=(2, 3, 4))
+        differs = np.ones(result.shape, bool)
+        if known is not None:  # bits, not values: 0 and -0 are equal
+            bits = np.uint16 if layers.itemsize == 2 else np.uint32
+            differs = (layers.view(bits) != known.view(bits)).any(axis=(2, 3, 4))
         for place in zip(*np.nonzero(differs), strict=True):
             number = self._known.setdefault(layers[place].tobytes(), len(self._tiles))
             if number == len(self._tiles):

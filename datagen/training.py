@@ -3,6 +3,7 @@
 import contextlib
 import hashlib
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -10,10 +11,11 @@ from pathlib import Path
 import polars as pl
 
 from datagen.errors import StoreError
+from datagen.manifest import MANIFEST, parse_manifest, read_manifest, remedy
 from datagen.packed import PackedView, pack_view, read_packed
 from datagen.records import SceneRecord
 from datagen.source import DatasetSource, open_dataset
-from datagen.store import view_file
+from datagen.store import file_sha256, view_file
 from scenes.whole import write_whole
 
 VISIBLE = "visible.parquet"
@@ -25,11 +27,14 @@ class TrainingSource:
     """A dataset that hands out packed views; reads only, so many processes may share one.
 
     `index` are the chosen rows of the dataset's index; `visible` has a row for each of their views and insertable
-    objects: scene, view (int64), object (str), pixels (float64, the sum of its coverage).
+    objects: scene, view (int64), object (str), pixels (float64, the sum of its coverage). Of a packed copy `sizes` are
+    the bytes of its files, and `remedy` says how to make it anew.
     """
 
     source: DatasetSource
     packed: bool
+    sizes: Mapping[str, int] = field(repr=False)
+    remedy: str
     index: pl.DataFrame = field(repr=False)
     visible: pl.DataFrame = field(repr=False)
 
@@ -39,9 +44,11 @@ class TrainingSource:
             name = packed_file(scene, number)
             with self.source.local(name) as path:
                 try:
+                    _check_size(path, self.sizes.get(name))
                     return _mapped(path) if self.source.is_local else read_packed(path)
                 except StoreError as error:
-                    raise StoreError(str(error).replace(str(path), f"{self.source.address}/{name}")) from None
+                    shown = str(error).replace(str(path), f"{self.source.address}/{name}")
+                    raise StoreError(f"{shown}; {self.remedy}") from None
         record = self.source.scene(scene)
         return pack_view(self.source.view(record, number), record, number)
 
@@ -55,25 +62,55 @@ def open_training(address: str | Path, *, where: str | None = None) -> TrainingS
     """Open a native or a packed dataset; `where` is an SQL expression over the index, as in `open_dataset`.
 
     The first opening of a native dataset reads every view once, to learn which objects can be seen; what it finds is
-    kept in the user's cache folder. Raises `StoreError` where there is no dataset or it is damaged.
+    kept in the user's cache folder. Of a packed copy the sizes of all files are held against its manifest, and the
+    contents of those that are not views. Raises `StoreError` where there is no dataset or it is damaged.
     """
     source = open_dataset(address, where=where)
     packed = source.filesystem.exists(f"{source.root}/{VISIBLE}")
+    sizes, told = _checked(source) if packed else ({}, "")
     if packed:
         with source.local(VISIBLE) as path:
             visible = _read_visible(path)
     else:
         visible = _seen_before(source)
     chosen = visible.filter(pl.col("scene").is_in(list(source.indices)))
-    return TrainingSource(source, packed, source.table, chosen)
+    return TrainingSource(source, packed, sizes, told, source.table, chosen)
+
+
+def _checked(source: DatasetSource) -> tuple[dict[str, int], str]:
+    """Hold a packed copy against its manifest; returns the sizes of its files, and how to make it anew."""
+    if source.is_local:
+        manifest = read_manifest(Path(source.root))
+    else:
+        with source.local(MANIFEST) as path:
+            manifest = parse_manifest(path.read_bytes(), f"{source.address}/{MANIFEST}")
+    told = remedy(manifest, source.address)
+    for name in ("dataset.json", "index.parquet", VISIBLE):
+        stated = manifest.files.get(name)
+        with source.local(name) as path:
+            if stated is None or file_sha256(path) != stated.sha256:
+                raise StoreError(f"{source.address}/{name} is not what {MANIFEST} states; {told}")
+    if source.is_local:  # elsewhere each file as it is fetched
+        for name, entry in manifest.files.items():
+            try:
+                _check_size(Path(source.root) / name, entry.bytes)
+            except StoreError as error:
+                raise StoreError(f"{error}; {told}") from None
+    return {name: entry.bytes for name, entry in manifest.files.items()}, told
+
+
+def _check_size(path: Path, stated: int | None) -> None:
+    try:
+        size = path.stat().st_size
+    except OSError:
+        raise StoreError(f"{path} is missing") from None
+    if size != stated:
+        raise StoreError(f"{path} is truncated or damaged: {size} bytes, {MANIFEST} states {stated}")
 
 
 def _mapped(path: Path) -> PackedView:
     """Read a packed view, or return it where it is mapped already and the file is the same still."""
-    try:
-        about = path.stat()
-    except OSError:
-        return read_packed(path)  # which says what is wrong
+    about = path.stat()
     return _read_once(path, about.st_size, about.st_mtime_ns)
 
 

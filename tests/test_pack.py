@@ -3,6 +3,7 @@
 import json
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +13,14 @@ from safetensors.numpy import load, save
 
 from datagen.cli import main
 from datagen.errors import StoreError, UserError
+from datagen.manifest import read_manifest
 from datagen.pack import pack_dataset
-from datagen.packed import SAME, read_packed
+from datagen.packed import SAME, pack_view, read_packed, write_packed
+from datagen.records import SceneRecord
 from datagen.source import open_dataset
+from datagen.store import ViewData, read_scene, read_view, scene_dir, write_view
 from datagen.training import open_training, packed_file
+from lights.tonemap import luminance
 from model.data import MultiLightDataset, SampleSettings
 
 
@@ -66,6 +71,64 @@ def test_what_equals_all_or_nothing_takes_no_pixels(packed: Path) -> None:
     assert len(np.unique(view.tiles.reshape(len(view.tiles), -1), axis=0)) == len(view.tiles)
 
 
+@pytest.mark.parametrize("dtype", [np.float16, np.float32])
+def test_one_step_in_one_channel_of_one_pixel_is_kept(
+    sphere_view: tuple[SceneRecord, ViewData], dtype: type, tmp_path: Path
+) -> None:
+    """Variants of the same luminance, of another sign of zero, or off by one step are not taken for `all`."""
+    record, view = sphere_view
+    rng = np.random.default_rng(0)
+    whole = rng.uniform(0.1, 1.0, view.variants["all"].shape).astype(dtype)
+    if dtype is np.float32:
+        whole *= np.float32(1e6)
+    whole[:, :16, :16] = 0
+    variants = {"all": whole}
+    for name in set(view.variants) - {"all"}:
+        variants[name] = whole.copy()
+        light, row, column, channel = (int(rng.integers(0, count)) for count in whole.shape)
+        variants[name][light, row, column, channel] = np.nextafter(whole[light, row, column, channel], dtype(np.inf))
+        red, green = (float(luminance(np.eye(3)[i])) for i in range(2))
+        hue = np.array([0.5 / red, -0.5 / green, 0.0]) * 0.1
+        variants[name][0, 40, 40] = np.maximum(whole[0, 40, 40] + hue * whole[0, 40, 40, 1], 0)
+        variants[name][0, 3, 3, 1] = dtype(-0.0)
+    changed = replace(view, variants={name: layers.astype(np.float32) for name, layers in variants.items()})
+    write_packed(tmp_path / "view.safetensors", pack_view(changed, record, 0))
+    back = read_packed(tmp_path / "view.safetensors")
+    for name, layers in variants.items():
+        assert back.variant(name).dtype == dtype
+        assert back.variant(name).tobytes() == layers.tobytes(), name
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -0.5])
+@pytest.mark.parametrize("name", ["all", "tiles", "alpha", "z_depth", "conditions"])
+def test_values_that_no_view_has_are_named(packed: Path, tmp_path: Path, name: str, value: float) -> None:
+    view = read_packed(packed / packed_file(0, 0))
+    values = getattr(view, name).copy()
+    values.reshape(-1)[len(values.reshape(-1)) // 2] = value
+    write_packed(tmp_path / "view.safetensors", replace(view, **{name: values}))
+    with pytest.raises(StoreError, match=f"damaged: {name} holds NaN, infinite or negative"):
+        read_packed(tmp_path / "view.safetensors")
+
+
+def test_a_damaged_dataset_is_not_packed(spheres_copy: Path, tmp_path: Path) -> None:
+    """A layer that is not a number stays out of the copy, and nothing is left that looks like one."""
+    folder = scene_dir(spheres_copy, 1)
+    record = read_scene(folder)
+    path = folder / record.views[1].file
+    view = read_view(path)
+    view.variants["all"][0, 5, 5, 2] = np.nan
+    write_view(path, view)
+    views = [
+        v.model_copy(update={"bytes": path.stat().st_size}) if v.file == "views/01.exr" else v for v in record.views
+    ]
+    (folder / "scene.json").write_text(record.model_copy(update={"views": tuple(views)}).model_dump_json())
+    with pytest.raises(StoreError, match=r"scenes/000001/views/01.exr: all holds NaN.*multilight verify"):
+        pack(spheres_copy, tmp_path / "copy")
+    assert not (tmp_path / "copy" / "manifest.json").exists()
+    with pytest.raises(StoreError, match="not finished"):
+        read_manifest(tmp_path / "copy")
+
+
 def _equal_tiles(layers: np.ndarray, others: np.ndarray) -> np.ndarray:
     """Compare (L, H, W, 3) tile by tile: (L, T) bool. The test's pictures are whole tiles."""
     lights, height, width, _ = layers.shape
@@ -74,10 +137,6 @@ def _equal_tiles(layers: np.ndarray, others: np.ndarray) -> np.ndarray:
 
 
 def test_radiance_beyond_half_stays_float(spheres_dataset: Path, tmp_path: Path) -> None:
-    from dataclasses import replace
-
-    from datagen.packed import pack_view, write_packed
-
     source = open_dataset(spheres_dataset)
     record = source.scene(0)
     view = source.view(record, 0)
@@ -112,7 +171,7 @@ def test_packing_again_adds_only_what_is_missing(spheres_dataset: Path, damaged:
 def test_foreign_folders_are_refused(spheres_dataset: Path, packed: Path, tmp_path: Path) -> None:
     with pytest.raises(UserError, match="packed dataset already"):
         pack(packed, tmp_path / "twice")
-    with pytest.raises(UserError, match="another dataset"):
+    with pytest.raises(UserError, match="not empty"):
         pack(spheres_dataset, spheres_dataset)
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "notes.txt").write_text("mine")
@@ -128,7 +187,9 @@ def test_truncated_views_are_named(damaged: Path, kept: float) -> None:
     content = path.read_bytes()
     path.write_bytes(content[: int(kept * len(content)) if kept < 1 else int(kept)])
     with pytest.raises(StoreError, match=f"{path}.*truncated or damaged"):
-        open_training(damaged).view(1, 2)
+        read_packed(path)
+    with pytest.raises(StoreError, match=f"{path}.*truncated or damaged.*made anew by: multilight pack"):
+        open_training(damaged)
 
 
 def test_foreign_and_contradictory_views_are_named(damaged: Path) -> None:
@@ -153,16 +214,18 @@ def test_foreign_and_contradictory_views_are_named(damaged: Path) -> None:
     for written, words in cases:
         path.write_bytes(written)
         with pytest.raises(StoreError, match=words) as told:
-            open_training(damaged).view(0, 1)
+            read_packed(path)
         assert str(path) in str(told.value)
     path.unlink()
     with pytest.raises(StoreError, match=f"{path} is missing"):
-        open_training(damaged).view(0, 1)
+        read_packed(path)
+    with pytest.raises(StoreError, match=f"{path} is missing.*made anew by: multilight pack"):
+        open_training(damaged)
 
 
 def test_damaged_list_is_named(damaged: Path) -> None:
     (damaged / "visible.parquet").write_bytes(b"PAR1 nonsense")
-    with pytest.raises(StoreError, match=r"visible\.parquet cannot be read"):
+    with pytest.raises(StoreError, match=r"visible\.parquet is not what manifest\.json states; made anew by"):
         open_training(damaged)
 
 

@@ -15,18 +15,28 @@ if TYPE_CHECKING:
 
 @dataclass
 class Verify:
-    """Check everything that was written: files, values and identities; exit code 1 on any fault."""
+    """Check everything that was written: files, values and identities; exit code 1 on any fault.
+
+    Packed copies and exports, which have a manifest.json, are checked by it: every file is there, no other, unchanged.
+    """
 
     dir: tyro.conf.Positional[str]
-    """Folder or address of the dataset."""
+    """Folder or address of the dataset; folder of the packed copy or export."""
     json: bool = False
     """Print JSON instead of a table."""
+    quick: bool = False
+    """Look at names and sizes only (so far of packed copies and exports)."""
+    source: str | None = None
+    """Folder or address of a dataset: say as well what of a packed copy or export is not as that dataset is now."""
 
     def run(self) -> int:
         """Verify and return the exit code."""
         from datagen.report import print_verification
         from datagen.verify import verify_dataset
+        from datagen.verify_copy import copy_at, print_copy_verification
 
+        if (copy := copy_at(self.dir)) is not None:
+            return print_copy_verification(copy, quick=self.quick, source=self.source, as_json=self.json)
         return print_verification(self.dir, verify_dataset(self.dir), as_json=self.json)
 
 

@@ -30,6 +30,9 @@ class Pack:
         workers = self.workers or len(os.sched_getaffinity(0))
         with progress("scenes") as report:
             packed = pack_dataset(self.dir, self.out, workers=workers, report=report)
+        if not packed.made:
+            print(f"{self.out}: nothing to do, all {packed.kept} scenes are there, as they were packed")
+            return 0
         mean, native = packed.packed / packed.views / 1e6, packed.native / packed.views / 1e6
         print(f"{self.out}: {packed.views} views, {mean:.2f} MB a view (native: {native:.2f} MB)")
         return 0

@@ -1,0 +1,23 @@
+"""Text that comes from data, made safe for where it is shown: terminal, Markdown, HTML."""
+
+import html
+import re
+
+_CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
+"""Control characters, among them those that move a terminal's cursor, end a line or turn the direction of reading."""
+_MARKUP = re.compile(r"[\\`*_\[\]<>#|~&$]")
+
+
+def plain(text: str) -> str:
+    """Return one line for a terminal or a file: control characters are written as escapes, \\n and \\x1b, say."""
+    return _CONTROL.sub(lambda found: ascii(found[0])[1:-1], text)
+
+
+def markdown(text: str) -> str:
+    """Return the text as it stands in Markdown: one line, nothing in it marks anything up, tables included."""
+    return _MARKUP.sub(r"\\\g<0>", plain(text))
+
+
+def page(text: str) -> str:
+    """Return the text as it stands in HTML, between tags or in an attribute's quotes."""
+    return html.escape(plain(text))
