@@ -99,14 +99,44 @@ class Copy:
         return not any(size_fault(files, found)) and dict(hashed(self.root, files)) == files
 
     def add(self, name: str, part: ScenePart, files: Files) -> None:
-        """Record a folder that is made, so that it is kept from now on; in tars `files` is empty."""
+        """Record a folder that is made, so that it is kept from now on."""
         if not self.changed:
             self._reopen()
         self._parts[name], self._files[name] = part, dict(files)
         self._append(name)
 
-    def finish(self, *others: str) -> None:
-        """Write the manifest, with `others`, files in the root that were written besides, and remove what is left."""
+    def holds(self, parts: Mapping[str, ScenePart]) -> bool:
+        """Say whether a finished copy that was made in one piece is that of these scenes, and as it was written.
+
+        Raises `UserError` where it is of others.
+        """
+        if not self._begun.parts:
+            return False
+        if self._parts != parts:
+            raise UserError(f"--out {self.root} is of other scenes, or of another state of them; give another folder")
+        found = {path.name: path.stat().st_size for path in self.root.iterdir() if path.is_file()}
+        wanted = {name: entry for name, entry in self._begun.files.items() if found.get(name) == entry.bytes}
+        return dict(hashed(self.root, wanted)) == self._begun.files
+
+    @contextlib.contextmanager
+    def filling(self) -> Iterator[Path]:
+        """Lend an empty folder for a copy that is made in one piece; its files go to the root at the end."""
+        work = self.root / WORK / "all"
+        work.mkdir(parents=True)
+        yield work
+        self._parts, self._files = {}, {}
+        self._reopen()
+        for old in self._begun.files:
+            (self.root / old).unlink(missing_ok=True)
+        for path in sorted(work.iterdir()):
+            path.replace(self.root / path.name)
+
+    def finish(self, *others: str, parts: Mapping[str, ScenePart] | None = None) -> None:
+        """Write the manifest, and remove what is left.
+
+        `others` are files in the root that were written besides; `parts` what went into a copy made in one piece.
+        """
+        self._parts |= parts or {}
         shutil.rmtree(self.root / WORK, ignore_errors=True)
         files = {name: entry for folder in self._files.values() for name, entry in folder.items()}
         files |= dict(hashed(self.root, others))
@@ -156,8 +186,8 @@ def making(root: Path, kind: Kind, source: DatasetSource, settings: Settings) ->
         try:
             yield copy
         except BaseException:
+            shutil.rmtree(root / WORK, ignore_errors=True)
             if not copy.parts:  # nothing to go on with
-                shutil.rmtree(root / WORK, ignore_errors=True)
                 (root / JOURNAL).unlink(missing_ok=True)
             raise
 

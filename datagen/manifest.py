@@ -165,7 +165,8 @@ def hashed(root: Path, names: Iterable[str]) -> Iterator[tuple[str, FileEntry]]:
 
 def size_fault(files: Mapping[str, FileEntry], found: Mapping[str, int | None]) -> Iterator[CopyFault]:
     """Compare names and sizes: what is missing, too much, no file, or of another size."""
-    for name in sorted(files.keys() | found.keys()):
+    emptied = {f"{parent}/" for name in files.keys() - found.keys() for parent in Path(name).parents}
+    for name in sorted((files.keys() | found.keys()) - emptied):
         if name not in found:
             yield CopyFault(name, "missing", "is missing")
         elif name not in files:

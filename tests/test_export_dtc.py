@@ -70,7 +70,7 @@ def test_folders_and_names_are_the_published_ones(exported: Path) -> None:
         *TRAIN,
         *EVAL,
         "README.md",
-        *("train.json", "test.json", "export.json"),
+        *("train.json", "test.json", "manifest.json"),
     }
     for root, scene in ((TRAIN[0], "scene_00000"), (TRAIN[1], "scene_00000"), (EVAL[0], "scene_00001")):
         assert [p.name for p in (exported / root).iterdir()] == [scene]
@@ -293,11 +293,11 @@ def test_export_goes_on_where_it_was(exported: Path, dataset: Path, tmp_path: Pa
     out = Path(shutil.copytree(exported, tmp_path / "export"))
     lost, kept = out / TRAIN[0] / "scene_00000", out / TRAIN[1] / "scene_00000" / "projs.npy"
     shutil.rmtree(lost)
-    (out / TRAIN[0] / "scene_00000.partial" / "0_0_ev0").mkdir(parents=True)
+    (out / "work" / "half" / "0_0_ev0").mkdir(parents=True)
     before = kept.stat().st_mtime_ns
     assert main(["export", "dtc-multilight", str(dataset), "--out", str(out), "--part", "2d-train", *OPTIONS]) == 0
     assert kept.stat().st_mtime_ns == before
-    assert not list(out.rglob("*.partial"))
+    assert not (out / "work").exists()
     files = [p.relative_to(lost) for p in lost.rglob("*") if p.is_file()]
     assert len(files) == len([p for p in (exported / TRAIN[0] / "scene_00000").rglob("*") if p.is_file()])
     for file in files:
@@ -320,10 +320,10 @@ def test_refusals_name_value_and_remedy(
     assert "--conditions 99 must be 1 to" in _refused(capsys, data, "--out", out, "--size", "48", "--conditions", "99")
     assert "--exposures 0" in _refused(capsys, data, "--out", out, "--size", "48", "--exposures", "0")
     assert not (tmp_path / "out").exists()
-    assert "other settings" in _refused(capsys, data, "--out", str(exported), "--size", "32")
+    assert "was made with conditions = 3, not None" in _refused(capsys, data, "--out", str(exported), "--size", "32")
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine/letter.txt").write_text("dear")
-    assert "holds other files" in _refused(capsys, data, "--out", str(tmp_path / "mine"), "--size", "48")
+    assert "is not empty" in _refused(capsys, data, "--out", str(tmp_path / "mine"), "--size", "48")
     assert "is missing: not a dataset" in _refused(capsys, str(tmp_path / "nowhere"), "--out", out)
 
 

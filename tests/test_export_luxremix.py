@@ -143,11 +143,12 @@ def test_normals_window_and_light_masks(scene: Scene, spheres_dataset: Path) -> 
 def test_tars_hold_ten_scenes_and_the_same_files(exported: Path, spheres_dataset: Path, tmp_path: Path) -> None:
     assert main(["export", "luxremix", str(spheres_dataset), "--out", str(tmp_path), "--tar"]) == 0
     found = {}
-    for path in tmp_path.iterdir():
+    assert (tmp_path / "manifest.json").is_file()
+    for path in tmp_path.glob("*.tar"):
         assert re.fullmatch(r"(training|test)-\d{4}\.tar", path.name)
         with tarfile.open(path, "r:") as tar:
             found |= {entry.name: tar.extractfile(entry).read() for entry in tar}  # type: ignore[union-attr]
-    there = {str(path.relative_to(exported)): path.read_bytes() for path in exported.rglob("*") if path.is_file()}
+    there = {str(path.relative_to(exported)): path.read_bytes() for path in exported.rglob("*/*") if path.is_file()}
     assert found == there
 
 

@@ -181,7 +181,7 @@ def test_card_states_licences_sizes_and_credits(
         for i, x in enumerate(licences)
     ]
     splits = {"train": (("train-00000.tar", 900), ("train-00001.tar", 300)), "test_ood": (("test_ood-00000.tar", 4),)}
-    write_card(tmp_path, Shards(splits), record, credits)
+    write_card(tmp_path, Shards(splits), record, credits, title="set")
     card = hub.DatasetCard.load(tmp_path / "README.md")
     assert card.data.license == ["cc-by-3.0", "cc0-1.0", "other"]
     assert set(card.data.license) - {"other"} <= HUB_LICENCES
@@ -197,8 +197,13 @@ def test_meta_has_the_keys_of_the_card(shards: Path) -> None:
 
 
 def test_a_folder_with_something_in_it_is_refused(
-    shards: Path, spheres_dataset: Path, capsys: pytest.CaptureFixture[str]
+    shards: Path, spheres_dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["export", "webdataset", str(spheres_dataset), "--out", str(shards)]) == 1
+    (tmp_path / "notes.txt").write_text("mine")
+    assert main(["export", "webdataset", str(spheres_dataset), "--out", str(tmp_path)]) == 1
     assert "is not empty" in capsys.readouterr().err
-    assert not list(shards.parent.glob("*.partial"))
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+    assert main(["export", "webdataset", str(spheres_dataset), "--out", str(shards), "--where", "index = 0"]) == 1
+    assert "of other scenes" in capsys.readouterr().err
+    assert main(["export", "webdataset", str(spheres_dataset), "--out", str(shards)]) == 0
+    assert "nothing to do" in capsys.readouterr().out

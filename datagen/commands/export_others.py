@@ -63,6 +63,9 @@ class Webdataset(_Source):
             shards = export_webdataset(
                 source, self.out, ShardOptions(self.pairs, self.shard_mb * 10**6, threads), report
             )
+        if shards is None:
+            print(f"{self.out}: nothing to do, all shards are there, as they were written")
+            return 0
         for split, files in shards.splits.items():
             print(f"{split}: {shards.samples_of(split)} samples in {len(files)} shards")
         return 0
@@ -75,13 +78,13 @@ class _Captures(_Source):
     points: int = 50_000
     """Most points of the initial point cloud."""
 
-    def write(self, one: "Write") -> int:
+    def write(self, kind: Literal["nerfstudio", "colmap"], one: "Write") -> int:
         """Write all captures with `one` and return the exit code."""
         from datagen.export.capture import export_captures
 
         with self.opened() as (source, report):
             count = export_captures(
-                source, self.out, one, conditions=self.conditions, points=self.points, report=report
+                source, self.out, one, kind=kind, conditions=self.conditions, points=self.points, report=report
             )
         print(f"{self.out}: {count} captures")
         return 0
@@ -95,7 +98,7 @@ class Nerfstudio(_Captures):
         """Write the captures and return the exit code."""
         from datagen.export.nerfstudio import write_nerfstudio
 
-        return self.write(write_nerfstudio)
+        return self.write("nerfstudio", write_nerfstudio)
 
 
 @dataclass(kw_only=True)
@@ -106,7 +109,7 @@ class Colmap(_Captures):
         """Write the captures and return the exit code."""
         from datagen.export.colmap import write_colmap
 
-        return self.write(write_colmap)
+        return self.write("colmap", write_colmap)
 
 
 @dataclass(kw_only=True)

@@ -3,15 +3,17 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datagen import compose
+from datagen.copies import files_of, making, whole_folder
 from datagen.errors import UserError
-from datagen.export.folders import whole_folder
 from datagen.export.images import depth_mm, png, share_to_byte
 from datagen.export.points import ScenePoints, scene_points
+from datagen.manifest import scene_part
 from datagen.records import SceneRecord
 from datagen.source import DatasetSource
 from lights.spec import LightingCondition
@@ -48,29 +50,35 @@ def export_captures(
     out: Path,
     write: Write,
     *,
+    kind: Literal["nerfstudio", "colmap"],
     conditions: int | None,
     points: int,
     report: Callable[[float, float], None],
 ) -> int:
     """Write `out/scene_000000/<condition>/` for every scene and lighting with `write`, and return how many are there.
 
-    `conditions` takes the first of each scene's. Folders that are there already are kept.
+    `conditions` takes the first of each scene's. Folders that are there already, and undamaged, are kept.
     """
     if conditions is not None and conditions < 1:
         raise UserError(f"--conditions {conditions} must be 1 or more")
     if points < 1:
         raise UserError(f"--points {points} must be 1 or more")
     written = 0
-    for done, record in enumerate(source.scenes()):
-        chosen = record.conditions[:conditions]
-        folder = out / f"scene_{record.index:06d}"
-        missing = [condition for condition in chosen if not (folder / condition.name).is_dir()]
-        with source.passing_over(record.index):
-            for capture in _captures(source, record, missing, points):
-                with whole_folder(folder / capture.condition.name) as partial:
-                    write(capture, partial)
-            written += len(chosen)
-        report(done + 1, len(source.indices))
+    with making(out, kind, source, {"points": points}) as copy:
+        for done, record in enumerate(source.scenes()):
+            chosen = record.conditions[:conditions]
+            scene = f"scene_{record.index:06d}"
+            with source.passing_over(record.index):
+                part = scene_part(source, record.index)
+                missing = [lit for lit in chosen if not copy.keeps(f"{scene}/{lit.name}", part)]
+                for capture in _captures(source, record, missing, points):
+                    name = f"{scene}/{capture.condition.name}"
+                    with whole_folder(out, name) as partial:
+                        write(capture, partial)
+                    copy.add(name, part, files_of(out, name))
+                written += len(chosen)
+            report(done + 1, len(source.indices))
+        copy.finish()
     return written
 
 

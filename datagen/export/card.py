@@ -7,6 +7,7 @@ from pathlib import Path
 
 from datagen.export.credits import credit_lines
 from datagen.records import AssetCredit, DatasetRecord
+from datagen.text import markdown
 
 HUB_LICENCES = frozenset({"apache-2.0", "cc-by-3.0", "cc-by-4.0", "cc-by-sa-3.0", "cc-by-sa-4.0", "cc0-1.0", "mit"})
 """Names the hub knows, of those that assets come under; what is not among them is `other`."""
@@ -73,11 +74,13 @@ class Shards:
         return sum(map(self.samples_of, self.splits))
 
 
-def write_card(folder: Path, shards: Shards, record: DatasetRecord, credits: Sequence[AssetCredit]) -> None:
+def write_card(
+    folder: Path, shards: Shards, record: DatasetRecord, credits: Sequence[AssetCredit], *, title: str
+) -> None:
     """Write `README.md` with YAML front matter: licence, size category, features, splits."""
     rows = [f"| {split} | {len(shards.splits[split])} | {shards.samples_of(split)} |" for split in shards.splits]
     text = TEXT.format(
-        title=folder.name.removesuffix(".partial"),
+        title=markdown(title),
         samples=shards.samples,
         size=f"{record.config.width} x {record.config.height} pixels",
         renderer=record.renderer,

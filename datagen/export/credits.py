@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from datagen.records import AssetCredit
+from datagen.text import markdown
 
 
 def credit_lines(credits: Sequence[AssetCredit]) -> list[str]:
@@ -13,7 +14,7 @@ def credit_lines(credits: Sequence[AssetCredit]) -> list[str]:
     for credit in credits:
         works.setdefault((credit.licence, credit.creator), set()).add(f"{credit.name} ({credit.pack})")
     rows = [
-        f"| {licence} | {creator} | {', '.join(sorted(works[licence, creator]))} |"
+        f"| {markdown(licence)} | {markdown(creator)} | {markdown(', '.join(sorted(works[licence, creator])))} |"
         for licence, creator in sorted(works)
     ]
     return ["| licence | by | works |", "|---|---|---|", *rows]

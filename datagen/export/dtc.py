@@ -11,16 +11,17 @@ import multiprocessing
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Literal
 
-from datagen.errors import RunStoppedError, StoreError, UserError, full_disk_told
-from datagen.export.dtc_files import write_json
+from datagen.copies import Copy, making
+from datagen.errors import RunStoppedError, StoreError, UserError
 from datagen.export.dtc_readme import write_readme
 from datagen.export.dtc_scene import Frame
 from datagen.export.dtc_work import Job, export_scene
+from datagen.manifest import FileEntry, ScenePart, scene_part
 from datagen.records import SceneRecord
 from datagen.source import open_dataset
 from datagen.store import write_text
@@ -34,7 +35,8 @@ ROOTS: dict[str, str] = {
     "2d-eval": "DTC-MultiLight-2DEval",
     "3d-eval": "DTC-MultiLight-3DEval",
 }
-SETTINGS = "export.json"
+LISTS = {"train": "train.json", "eval": "test.json"}
+Made = Callable[[int, dict[str, dict[str, FileEntry]]], None]
 
 
 @dataclass(frozen=True)
@@ -71,13 +73,20 @@ def export_dtc(request: DtcExport, report: Report) -> DtcOutcome:
         raise UserError(f"{request.address} holds no finished scene; make some with: multilight dataset")
     records = [record for record in source.scenes() if _kinds(record, request)]
     _check(request, records)
-    _claim(request)
-    jobs = [_job(request, record) for record in records]
-    missing = [job for job in jobs if job.flat or job.maps]
-    with full_disk_told(request.out):
-        failures = _run(missing, request.workers, report)
+    settings = {key: getattr(request, key) for key in ("conditions", "exposures", "size", "map_size")}
+    with making(request.out, "dtc-multilight", source, settings) as copy:
+        parts = {record.index: scene_part(source, record.index) for record in records}
+        jobs = [_job(request, record, copy, parts[record.index]) for record in records]
+        missing = [job for job in jobs if job.flat or job.maps]
+
+        def made(index: int, folders: dict[str, dict[str, FileEntry]]) -> None:
+            for folder, files in folders.items():
+                copy.add(folder, parts[index], files)
+
+        failures = _run(missing, request.workers, made, report)
         _write_lists(request, records)
         write_readme(request.out, request.address, records)
+        copy.finish(*(name for name in (*LISTS.values(), "README.md") if (request.out / name).is_file()))
     return DtcOutcome(len(missing) - len(failures), len(jobs) - len(missing), failures)
 
 
@@ -114,29 +123,13 @@ def _check(request: DtcExport, records: Sequence[SceneRecord]) -> None:
             raise UserError(f"scene {record.index} of {request.address} has no insertable object to composite")
 
 
-def _claim(request: DtcExport) -> None:
-    """Make the output folder, or check that what is there is an export of the same dataset with the same settings."""
-    settings = {key: value for key, value in asdict(request).items() if key not in ("out", "part", "workers")}
-    text = json.dumps({"format": "dtc-multilight"} | settings, indent=1) + "\n"
-    path = request.out / SETTINGS
-    try:
-        request.out.mkdir(parents=True, exist_ok=True)
-        if not path.is_file():
-            if any(request.out.iterdir()):
-                raise UserError(f"output folder {request.out} holds other files; choose an empty --out")
-            write_text(path, text)
-        elif path.read_text() != text:
-            raise UserError(f"{request.out} was exported with other settings, see {path}; choose another --out")
-    except OSError as error:
-        raise UserError(f"output folder {request.out} cannot be written: {error}; choose another --out") from None
-
-
-def _job(request: DtcExport, record: SceneRecord) -> Job:
+def _job(request: DtcExport, record: SceneRecord, copy: Copy, part: ScenePart) -> Job:
     """Plan what is missing of a scene."""
-    folders = {kind[:2]: request.out / ROOTS[kind] / scene_name(record.index) for kind in _kinds(record, request)}
-    missing = {dimension: folder for dimension, folder in folders.items() if not folder.is_dir()}
+    folders = {kind[:2]: f"{ROOTS[kind]}/{scene_name(record.index)}" for kind in _kinds(record, request)}
+    missing = {dimension: folder for dimension, folder in folders.items() if not copy.keeps(folder, part)}
     return Job(
         address=request.address,
+        root=request.out,
         index=record.index,
         views=len(record.views),
         evaluation=record.split != "train",
@@ -149,14 +142,14 @@ def _job(request: DtcExport, record: SceneRecord) -> Job:
     )
 
 
-def _run(jobs: Sequence[Job], workers: int | None, report: Report) -> dict[int, str]:
-    """Export scenes; returns the failures. Anything that would fail all scenes is raised."""
+def _run(jobs: Sequence[Job], workers: int | None, made: Made, report: Report) -> dict[int, str]:
+    """Export scenes, telling `made` of each; returns the failures. Anything that would fail all scenes is raised."""
     failures: dict[int, str] = {}
     done, total = 0, sum(job.views for job in jobs)
     count = min(workers or len(os.sched_getaffinity(0)), len(jobs))
     for job, wait in _started(jobs, count) if jobs else ():
         try:
-            wait()
+            made(job.index, wait())
         except (StoreError, ValueError) as error:
             failures[job.index] = str(error)
         except BrokenProcessPool:
@@ -169,7 +162,7 @@ def _run(jobs: Sequence[Job], workers: int | None, report: Report) -> dict[int, 
     return failures
 
 
-def _started(jobs: Sequence[Job], count: int) -> Iterator[tuple[Job, Callable[[], None]]]:
+def _started(jobs: Sequence[Job], count: int) -> Iterator[tuple[Job, Callable[[], dict[str, dict[str, FileEntry]]]]]:
     """Yield each job with a call that returns or raises as the job did; in `count` processes, or in this one."""
     if count == 1:
         for job in jobs:
@@ -187,7 +180,7 @@ def _started(jobs: Sequence[Job], count: int) -> Iterator[tuple[Job, Callable[[]
 
 def _write_lists(request: DtcExport, records: Sequence[SceneRecord]) -> None:
     """Write `train.json` and `test.json`: a group a split, with the keys that the 2D and the 3D loader want."""
-    for end, file in (("train", "train.json"), ("eval", "test.json")):
+    for end, file in LISTS.items():
         flat, maps = (request.out.resolve() / ROOTS[f"{dimension}-{end}"] for dimension in ("2d", "3d"))
         groups: dict[str, list[str]] = {}
         for record in records:
@@ -196,4 +189,5 @@ def _write_lists(request: DtcExport, records: Sequence[SceneRecord]) -> None:
                 groups.setdefault(record.split, []).append(name)
         roots = {"data_root": str(flat), "data_root_2d": str(flat), "data_root_3d": str(maps)}
         if groups:
-            write_json(request.out / file, {split: roots | {"scenes": names} for split, names in groups.items()})
+            content = {split: roots | {"scenes": names} for split, names in groups.items()}
+            write_text(request.out / file, json.dumps(content, indent=1) + "\n")

@@ -6,11 +6,13 @@ from pathlib import Path
 from datagen.export.credits import credit_lines
 from datagen.records import AssetCredit, SceneRecord
 from datagen.store import write_text
+from datagen.text import markdown
 
 TEXT = """# A Multilight dataset in the layouts of DTC-MultiLight
 
-Made from `{address}`: {train} scenes of split `train` in the training roots, {rest} others in the evaluation roots.
-MV-CoLight's loaders read `train.json` and `test.json`; these hold absolute paths, so edit them after moving the folder.
+Made from {address}: {train} scenes of split `train` in the training roots, {rest} others in the evaluation roots.
+MV-CoLight's loaders read `train.json` and `test.json`; these hold absolute paths: after moving the folder run the same
+export again, which writes them anew, or edit them.
 
 - Lighting `<a>_<b>` is condition 2a + b of the scene; `_ev0`, `_ev1`, ... are half a step apart in natural logarithm.
 - Object masks hold the object's share of each pixel, so edges are grey; depths and environment masks are those of
@@ -30,7 +32,7 @@ def write_readme(out: Path, address: str, records: Sequence[SceneRecord]) -> Non
     credits: dict[str, AssetCredit] = {credit.id: credit for record in records for credit in record.assets}
     train = sum(record.split == "train" for record in records)
     text = TEXT.format(
-        address=address,
+        address=markdown(address),
         train=train,
         rest=len(records) - train,
         credits="\n".join(credit_lines([credits[name] for name in sorted(credits)])),

@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen import compose
+from datagen.copies import files_of, whole_folder
 from datagen.export import dtc2d, dtc3d
 from datagen.export.dtc_scene import Frame, Geometry, Lighting, survey, views
-from datagen.export.folders import whole_folder
 from datagen.layers import Float32
+from datagen.manifest import FileEntry
 from datagen.records import SceneRecord
 from datagen.source import DatasetSource, open_dataset
 from lights.reinhard import tone_map
@@ -29,14 +30,15 @@ UInt8 = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class Job:
-    """One scene to export: `flat` and `maps` are the 2D and 3D scene folders to write, None where there already."""
+    """One scene to export into `root`: `flat` and `maps` are the 2D and 3D folders in it, None where there already."""
 
     address: str
+    root: Path
     index: int
     views: int
     evaluation: bool
-    flat: Path | None
-    maps: Path | None
+    flat: str | None
+    maps: str | None
     conditions: int | None
     exposures: int
     size: int
@@ -70,8 +72,8 @@ class Choice:
     insert_step: int
 
 
-def export_scene(job: Job) -> None:
-    """Write one scene; raises `StoreError` naming a file that cannot be read."""
+def export_scene(job: Job) -> dict[str, dict[str, FileEntry]]:
+    """Write one scene; returns the files of each folder. Raises `StoreError` naming a file that cannot be read."""
     source = open_dataset(job.address)
     record = source.scene(job.index)
     frame = Frame.fit(job.size, record.views[0].height, record.views[0].width)
@@ -79,14 +81,15 @@ def export_scene(job: Job) -> None:
     choice = choose(record, conditions, job.exposures)
     lightings, geometry = survey(source, record, frame, (choice.base, choice.insert) if job.evaluation else conditions)
     folders = [folder for folder in (job.flat, job.maps) if folder]
-    scene = _Scene(source, record, frame, lightings, geometry, folders[0].name)
+    scene = _Scene(source, record, frame, lightings, geometry, Path(folders[0]).name)
     with contextlib.ExitStack() as stack:
-        flat, maps = (stack.enter_context(whole_folder(f)) if f else None for f in (job.flat, job.maps))
+        flat, maps = (stack.enter_context(whole_folder(job.root, f)) if f else None for f in (job.flat, job.maps))
         gaussians = _gaussians(scene, job.map_size) if maps else None
         if job.evaluation:
             _evaluation(scene, choice, flat, maps, gaussians)
         else:
             _training(scene, job.exposures, flat, maps, gaussians)
+    return {folder: files_of(job.root, folder) for folder in folders}
 
 
 def choose(record: SceneRecord, conditions: Sequence[LightingCondition], exposures: int) -> Choice:

@@ -16,10 +16,11 @@ import numpy as np
 import OpenEXR
 from numpy.typing import ArrayLike, NDArray
 
-from datagen.export.folders import whole_folder
+from datagen.copies import Copy, files_of, making, whole_folder
 from datagen.export.images import jpeg, png, share_to_byte
 from datagen.export.luxremix_meta import Passes, draw_passes, metadata
 from datagen.export.tars import TarShards
+from datagen.manifest import ScenePart, scene_part
 from datagen.records import SceneRecord
 from datagen.source import DatasetSource
 from datagen.store import HALF_MAX, ViewData
@@ -47,29 +48,62 @@ class LuxremixOutcome:
 def export_luxremix(
     source: DatasetSource, out: Path, *, tar: bool, report: Callable[[float, float], None]
 ) -> LuxremixOutcome:
-    """Write every scene as a folder `000123`, kept where it is there, or into new tars of ten scenes."""
+    """Write every scene as a folder `000123`, kept where it is there, or all into new tars of ten scenes."""
+    with making(out, "luxremix", source, {"tar": tar}) as copy:
+        if tar:
+            return _write_tars(source, copy, report)
+
+        def write(record: SceneRecord, passes: Passes, part: ScenePart) -> None:
+            name = f"{record.index:06d}"
+            if not copy.keeps(name, part):
+                with whole_folder(out, name) as partial:
+                    write_scene(source, record, passes, partial)
+                copy.add(name, part, files_of(out, name))
+
+        outcome = _each(source, write, report)
+        copy.finish()
+        return outcome
+
+
+def _each(
+    source: DatasetSource,
+    write: Callable[[SceneRecord, Passes, ScenePart], None],
+    report: Callable[[float, float], None],
+) -> LuxremixOutcome:
+    """Have every scene with layers written, and count."""
     outcome = LuxremixOutcome()
-    shards = {
-        split: TarShards(out, split, most_bytes=1 << 62, most_groups=SCENES_A_TAR, digits=4)
-        for split in ("training", "test")
-    }
-    out.mkdir(parents=True, exist_ok=True)
     for done, record in enumerate(source.scenes()):
         passes = draw_passes(record)
         if not passes.lights:
             outcome.unlit.append(record.index)
         else:
             with source.passing_over(record.index):
-                if tar:
-                    shards["training" if record.split == "train" else "test"].add(_packed(source, record, passes))
-                elif not (folder := out / f"{record.index:06d}").is_dir():
-                    with whole_folder(folder) as partial:
-                        write_scene(source, record, passes, partial)
+                write(record, passes, scene_part(source, record.index))
                 outcome.scenes += 1
                 outcome.layers += len(passes.lights) * len(record.views)
         report(done + 1, len(source.indices))
-    for writer in shards.values():
-        writer.close()
+    return outcome
+
+
+def _write_tars(source: DatasetSource, copy: Copy, report: Callable[[float, float], None]) -> LuxremixOutcome:
+    wanted = {f"{r.index:06d}": scene_part(source, r.index) for r in source.scenes() if draw_passes(r).lights}
+    if copy.holds(wanted):
+        return _each(source, lambda record, passes, part: None, report)
+    parts: dict[str, ScenePart] = {}
+    with copy.filling() as folder:
+        shards = {
+            split: TarShards(folder, split, most_bytes=1 << 62, most_groups=SCENES_A_TAR, digits=4)
+            for split in ("training", "test")
+        }
+
+        def write(record: SceneRecord, passes: Passes, part: ScenePart) -> None:
+            shards["training" if record.split == "train" else "test"].add(_packed(source, record, passes))
+            parts[f"{record.index:06d}"] = part
+
+        outcome = _each(source, write, report)
+        for writer in shards.values():
+            writer.close()
+    copy.finish(*(name for writer in shards.values() for name, _ in writer.shards), parts=parts)
     return outcome
 
 

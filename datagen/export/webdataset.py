@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 
 from datagen import compose
+from datagen.copies import making
 from datagen.errors import UserError
 from datagen.export.card import Shards, write_card
-from datagen.export.folders import whole_folder
 from datagen.export.images import depth_mm, png, share_to_byte
 from datagen.export.tars import TarShards
+from datagen.manifest import ScenePart, scene_part
 from datagen.records import AssetCredit, SceneRecord
 from datagen.source import DatasetSource
 from datagen.store import ViewData
@@ -42,15 +43,35 @@ class ShardOptions:
 
 def export_webdataset(
     source: DatasetSource, out: Path, options: ShardOptions, report: Callable[[float, float], None]
-) -> Shards:
-    """Write `<split>-00000.tar`, ... and README.md into a new folder; raises `UserError` where `out` is not empty."""
-    if out.is_dir() and any(out.iterdir()):
-        raise UserError(f"--out {out} is not empty; name a new folder, or remove it")
-    with whole_folder(out) as folder, ThreadPoolExecutor(options.threads) as pool, ExitStack() as open_shards:
-        writers: dict[str, TarShards] = {}
-        credits: dict[str, AssetCredit] = {}
+) -> Shards | None:
+    """Write `<split>-00000.tar`, ... and README.md into a new folder; None where they are there, undamaged.
+
+    Raises `UserError` where `out` holds something else.
+    """
+    with making(out, "webdataset", source, {"pairs": options.pairs, "most_bytes": options.most_bytes}) as copy:
+        if copy.holds({f"{index:06d}": scene_part(source, index) for index in source.indices}):
+            return None
+        with copy.filling() as folder:
+            shards, parts = _fill(source, folder, out.name, options, report)
+        copy.finish(*_files(shards), parts=parts)
+    return shards
+
+
+def _files(shards: Shards) -> list[str]:
+    return ["README.md", *(name for files in shards.splits.values() for name, _ in files)]
+
+
+def _fill(
+    source: DatasetSource, folder: Path, title: str, options: ShardOptions, report: Callable[[float, float], None]
+) -> tuple[Shards, dict[str, ScenePart]]:
+    """Write all shards and the card; returns them, and the scenes that went in."""
+    parts: dict[str, ScenePart] = {}
+    writers: dict[str, TarShards] = {}
+    credits: dict[str, AssetCredit] = {}
+    with ThreadPoolExecutor(options.threads) as pool, ExitStack() as open_shards:
         for done, record in enumerate(source.scenes()):
             with source.passing_over(record.index):
+                part = scene_part(source, record.index)
                 samples = [sample for view in _views(source, record, options, pool) for sample in view]
                 if record.split not in writers:
                     writers[record.split] = TarShards(folder, record.split, options.most_bytes)
@@ -59,13 +80,13 @@ def export_webdataset(
                 for key, members in samples:
                     writer.add({f"{key}.{name}": content for name, content in members.items()})
                 credits |= {credit.id: credit for credit in record.assets}
+                parts[f"{record.index:06d}"] = part
             report(done + 1, len(source.indices))
-        open_shards.close()
-        shards = Shards({split: tuple(writer.shards) for split, writer in writers.items() if writer.shards})
-        if not shards.samples:
-            raise UserError(f"{source.address}: no view shows an insertable object; nothing to export")
-        write_card(folder, shards, source.record, list(credits.values()))
-    return shards
+    shards = Shards({split: tuple(writer.shards) for split, writer in writers.items() if writer.shards})
+    if not shards.samples:
+        raise UserError(f"{source.address}: no view shows an insertable object; nothing to export")
+    write_card(folder, shards, source.record, list(credits.values()), title=title)
+    return shards, parts
 
 
 def draw_pairs(record: SceneRecord, view: int, name: str, count: int) -> list[tuple[int, int]]:

@@ -1,14 +1,14 @@
 """The export of a dataset's scenes as USD stages: a folder a scene."""
 
-import shutil
-import uuid
 from collections.abc import Callable
 from pathlib import Path
 
 from datagen.background import open_library
-from datagen.errors import UserError, full_disk_told
+from datagen.copies import files_of, making, whole_folder
+from datagen.errors import UserError
 from datagen.export.usd.check import stage_faults
 from datagen.export.usd.stage import STAGE, write_stage
+from datagen.manifest import scene_part
 from datagen.records import SceneRecord
 from datagen.source import DatasetSource
 from scenes.assets.library import AssetLibrary
@@ -22,7 +22,8 @@ def export_usd(
 ) -> list[Path]:
     """Write a stage for each scene of a dataset, or for one; return the stages, `out/scene_000003/scene.usdc`.
 
-    A scene's folder appears only when its stage is whole and passes USD's validators; folders that are there are kept.
+    A scene's folder appears only when its stage is whole and passes USD's validators; folders that are there, and
+    undamaged, are kept.
     `assets` are the folders of models that the dataset was made with. Raises `UserError` naming what is wrong.
     """
     if scene is not None and scene not in source.indices:
@@ -30,25 +31,22 @@ def export_usd(
     records, total = (source.scenes(), len(source.indices)) if scene is None else (iter([source.scene(scene)]), 1)
     library = open_library(source.record.config, assets)
     made = []
-    for done, record in enumerate(records):
-        report(done, total)
-        folder = out / f"scene_{record.index:06d}"
-        if not (folder / STAGE).is_file():
-            with full_disk_told(out if out.exists() else Path.cwd()):
-                _write(record, library, folder)
-        made.append(folder / STAGE)
+    with making(out, "usd", source, {}) as copy:
+        for done, record in enumerate(records):
+            report(done, total)
+            name, part = f"scene_{record.index:06d}", scene_part(source, record.index)
+            if not copy.keeps(name, part):
+                with whole_folder(out, name) as folder:
+                    _write(record, library, folder)
+                copy.add(name, part, files_of(out, name))
+            made.append(out / name / STAGE)
+        copy.finish()
     report(total, total)
     return made
 
 
 def _write(record: SceneRecord, library: AssetLibrary, folder: Path) -> None:
-    """Write one scene under a temporary name, check it and rename it."""
-    work = folder.with_name(f".{folder.name}-{uuid.uuid4().hex[:8]}.tmp")
-    try:
-        work.mkdir(parents=True)
-        path = write_stage(record, library, work)
-        if faults := stage_faults(path):
-            raise UserError(f"scene {record.index}: its stage does not pass USD's validators: {faults[0]}")
-        work.rename(folder)
-    finally:
-        shutil.rmtree(work, ignore_errors=True)
+    """Write one scene and check it."""
+    path = write_stage(record, library, folder)
+    if faults := stage_faults(path):
+        raise UserError(f"scene {record.index}: its stage does not pass USD's validators: {faults[0]}")
