@@ -6,6 +6,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
+from datagen.text import plain, terminal
 from scenes.assets.check import check_assets
 from scenes.assets.fetch import DEFAULT_PACKS, fetch_pack
 from scenes.assets.library import AssetError, AssetLibrary, AssetRole
@@ -23,7 +24,7 @@ def print_list(which: str | None) -> int:
     for role in ROLES:
         for info in library.list(role):
             if pack is None or info.pack == pack:
-                table.add_row(info.id, info.role, info.category, info.creator, info.licence)
+                table.add_row(*map(terminal, (info.id, info.role, info.category, info.creator, info.licence)))
                 count += 1
     Console().print(table)
     print(f"{count} assets")
@@ -38,7 +39,7 @@ def fetch(which: str | None) -> int:
             print(f"assets: {pack}: {fetch_pack(pack)}")
         except AssetError as error:
             failed += 1
-            print(f"assets: {pack}: {error}", file=sys.stderr)
+            print(plain(f"assets: {pack}: {error}"), file=sys.stderr)
     return 1 if failed else 0
 
 
@@ -47,7 +48,7 @@ def check(which: str | None) -> int:
     library, pack = _library(which)
     problems = check_assets(library, pack)
     for asset, problem in problems:
-        print(f"{asset}: {problem}")
+        print(plain(f"{asset}: {problem}"))
     total = sum(pack in (None, info.pack) for role in ROLES for info in library.list(role))
     print(f"{total} assets, {len(problems)} broken")
     return 1 if problems or not total else 0

@@ -1,5 +1,6 @@
 """The generator's command line; the commands themselves stand in `datagen/commands/`."""
 
+import contextlib
 import os
 import sys
 from collections.abc import Mapping
@@ -9,6 +10,7 @@ import tyro
 
 from datagen.commands import export, import_scene, installed, look, make, pack, query
 from datagen.errors import UserError
+from datagen.text import plain
 
 COMMANDS: dict[str, type] = {
     "dataset": make.Dataset,
@@ -46,18 +48,34 @@ def main(arguments: list[str] | None = None, commands: Mapping[str, type] = COMM
         config=(tyro.conf.OmitArgPrefixes,),
     )
     try:
-        return int(command.run())
+        code = int(command.run())
+        sys.stdout.flush()
+        return code
     except KeyboardInterrupt:
         print("stopped; the same command goes on where it was", file=sys.stderr)
         return 130
     except RuntimeError as error:
         if traceback or not _is_for_users(error):
             raise
-        print(f"error: {error}", file=sys.stderr)
+        print(f"error: {plain(str(error))}", file=sys.stderr)
         return 1
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_output()
         return 1
+    except OSError as error:  # a folder that cannot be written, a full disk, a file that went away
+        if traceback:
+            raise
+        if error.filename is None:
+            _drop_output()
+        told = str(error) if error.filename is None else f"{error.filename}: {error.strerror}"
+        print(f"error: {plain(told)}; free some space, or choose another place", file=sys.stderr)
+        return 1
+
+
+def _drop_output() -> None:
+    """Let nothing more be written to a standard output that takes nothing, at the end of the process either."""
+    with contextlib.suppress(OSError):  # there may be none
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _is_for_users(error: RuntimeError) -> bool:

@@ -2,11 +2,13 @@
 
 import contextlib
 import errno
+import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
 FULL = 1 << 20  # bytes; native code reports a full disk in its own ways, so free space is looked at as well
+_STATED = tuple(os.strerror(code) for code in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG))
 
 
 class UserError(RuntimeError):
@@ -33,9 +35,10 @@ def full_disk_told(folder: Path) -> Iterator[None]:
     except UserError:
         raise
     except Exception as error:
-        stated = isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+        stated = next((words for words in _STATED if words in str(error)), "")
         if stated or shutil.disk_usage(folder).free < FULL:
+            what = (stated or _STATED[0]).lower()
             raise DiskFullError(
-                f"{folder}: no space left; free some and run the same command again, what is finished is kept"
+                f"{folder}: {what}; free some and run the same command again, what is finished is kept"
             ) from error
         raise

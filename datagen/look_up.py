@@ -6,12 +6,12 @@ from typing import Any
 
 import polars as pl
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
 from datagen.errors import UserError
 from datagen.index import COLUMNS
 from datagen.source import open_dataset
+from datagen.text import terminal
 
 
 def query(address: str, where: str | None, columns: Sequence[str]) -> pl.DataFrame:
@@ -49,7 +49,7 @@ def _print_table(columns: Sequence[tuple[str, bool]], rows: Sequence[Sequence[An
     for name, numeric in columns:
         table.add_column(name, justify="right" if numeric else "left", overflow="fold")
     for row in rows:
-        table.add_row(*(escape(_cell(value)) for value in row))
+        table.add_row(*(terminal(_cell(value)) for value in row))
     Console().print(table)
 
 

@@ -13,6 +13,7 @@ from datagen import compose
 from datagen.errors import UserError
 from datagen.exposure import meter_condition, thumbnail
 from datagen.layers import Float32
+from datagen.outputs import check_file, written
 from datagen.records import SceneRecord
 from datagen.sheet import effect_picture
 from datagen.source import open_dataset
@@ -41,6 +42,7 @@ def write_mix(request: MixRequest, out: Path) -> None:
     if out.suffix not in (".png", ".exr"):
         raise UserError(f"--out {out}: the suffix must be .png or .exr")
     source = open_dataset(request.address)
+    check_file(out)
     if request.scene not in source.indices:
         raise UserError(f"--scene {request.scene} is not in {request.address}; it has {_short(source.indices)}")
     record = source.scene(request.scene)
@@ -53,13 +55,13 @@ def write_mix(request: MixRequest, out: Path) -> None:
     base = find_condition(request.condition, record, view)
     insert = find_condition(request.insert_condition, record, view)
     picture = _picture(request.what, view, name, insert, base)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    if out.suffix == ".exr":
-        header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-        OpenEXR.File(header, {"RGB": np.ascontiguousarray(picture)}).write(str(out))
-    else:
-        shown = effect_picture(picture) if request.what == "effect" else to_display(picture)
-        Image.fromarray(shown).save(out)
+    with written(out) as work:
+        if out.suffix == ".exr":
+            header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+            OpenEXR.File(header, {"RGB": np.ascontiguousarray(picture)}).write(str(work))
+        else:
+            shown = effect_picture(picture) if request.what == "effect" else to_display(picture)
+            Image.fromarray(shown).save(work)
 
 
 def find_condition(text: str, record: SceneRecord, view: ViewData) -> LightingCondition:

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
+from datagen.text import plain, terminal
 from datagen.verify import CHECKS, Fault
 
 PLAIN_INTERVAL = 15.0  # seconds between progress lines where there is no terminal
@@ -71,7 +72,7 @@ def print_verification(root: str, results: Iterable[tuple[int, list[Fault]]], *,
 
 
 def _print_table(root: str, checked: list[tuple[int, list[Fault]]]) -> None:
-    table = Table(title=f"{root}: {len(checked)} scenes")
+    table = Table(title=terminal(f"{root}: {len(checked)} scenes"))
     table.add_column("scene", justify="right")
     for check in CHECKS:
         table.add_column(check)
@@ -83,4 +84,4 @@ def _print_table(root: str, checked: list[tuple[int, list[Fault]]]) -> None:
     for _, found in checked:
         for fault in found:
             where = f"scene {fault.scene}" + ("" if fault.view is None else f", view {fault.view}")
-            console.print(f"{where}: {fault.check}: {fault.message}", markup=False, highlight=False)
+            console.print(plain(f"{where}: {fault.check}: {fault.message}"), markup=False, highlight=False)

@@ -28,6 +28,7 @@ from datagen.errors import StoreError
 from datagen.layers import Float32, GeometryBuffers
 from datagen.records import DatasetRecord, SceneRecord
 from scenes.inside import OutsideError, held, inside
+from scenes.whole import write_whole
 
 _Record = TypeVar("_Record", SceneRecord, DatasetRecord)
 COMPRESSION = OpenEXR.ZIP_COMPRESSION
@@ -80,10 +81,9 @@ def check_links(root: Path) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file under a temporary name, then rename it."""
-    temporary = path.with_name(path.name + ".tmp")
-    temporary.write_text(text)
-    temporary.replace(path)
+    """Write a text file, whole or not at all."""
+    with write_whole(path) as work:
+        work.write_text(text)
 
 
 def file_sha256(path: Path) -> str:

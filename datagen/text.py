@@ -3,14 +3,21 @@
 import html
 import re
 
+from rich.markup import escape
+
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 """Control characters, among them those that move a terminal's cursor, end a line or turn the direction of reading."""
-_MARKUP = re.compile(r"[\\`*_\[\]<>#|~&$]")
+_MARKUP = re.compile(r"[\\`*\[\]<>|&]")
 
 
 def plain(text: str) -> str:
     """Return one line for a terminal or a file: control characters are written as escapes, \\n and \\x1b, say."""
     return _CONTROL.sub(lambda found: ascii(found[0])[1:-1], text)
+
+
+def terminal(text: str) -> str:
+    """Return one line for `rich`, which prints it as it is: neither control characters nor markup count."""
+    return escape(plain(text))
 
 
 def markdown(text: str) -> str:

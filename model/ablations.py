@@ -17,6 +17,7 @@ import numpy as np
 from torch import nn
 
 from datagen.errors import UserError
+from datagen.outputs import check_folder
 from datagen.source import open_dataset
 from datagen.store import write_text
 from model.checkpoint import checkpoint_progress, load_network, load_network3d
@@ -297,7 +298,7 @@ def _claim(settings: AblationSettings, base: Values) -> None:
     path = settings.out / "ablation.json"
     asked = json.loads(json.dumps({"ablation": settings.name, **base}))
     if not path.is_file():
-        settings.out.mkdir(parents=True, exist_ok=True)
+        check_folder(settings.out)
         write_text(path, json.dumps(asked, indent=1))
         return
     stored = json.loads(path.read_text())

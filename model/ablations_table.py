@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from datagen.store import write_text
+from datagen.text import markdown as escaped
 from model.ablations import AVERAGED, CARRIED, COMPOSITE, GLOW, STAGE_2D, Run
 from model.evaluation import JUDGED_BY, Evaluation
 from model.metrics import REGIONS
@@ -77,7 +78,7 @@ def _of_views(found: Evaluation) -> bool:
 def markdown(title: str, rows: Sequence[Row], about: Mapping[str, str], notes: Sequence[str]) -> str:
     """Write the table as Markdown."""
     columns = list(rows[0].figures)
-    lines = [f"# {title}", "", *(f"- {key}: {value}" for key, value in about.items())]
+    lines = [f"# {title}", "", *(f"- {escaped(key)}: {escaped(value)}" for key, value in about.items())]
     for note in notes:
         lines += ["", note]
     lines += ["", "| variant | parameters | steps | s a step | " + " | ".join(columns) + " |"]

@@ -14,13 +14,13 @@ from torch import Tensor, nn
 from torch.optim import Optimizer
 
 from datagen.errors import UserError
+from datagen.outputs import written
 from datagen.store import write_text
 from model.compositing2d import Compositing2D
 from model.compositing3d import Compositing3D, SceneNetwork, scene_network
 from model.config import NetworkConfig, TrainingConfig
 from model.config3d import SceneNetworkConfig
 from model.points3d import PointTransformer
-from scenes.whole import write_whole
 
 Tensors = dict[str, Tensor]
 Network = TypeVar("Network", Compositing2D, Compositing3D | PointTransformer)
@@ -136,7 +136,7 @@ def weights_header(path: Path) -> dict[str, str]:
 
 
 def _write_tensors(path: Path, tensors: Tensors, header: dict[str, str]) -> None:
-    with write_whole(path) as work:
+    with written(path) as work:
         save_file({k: v.detach().cpu().contiguous() for k, v in tensors.items()}, work, metadata=header)
 
 

@@ -1,7 +1,6 @@
 """The evaluation as Markdown, JSON, and one self-contained HTML page with pictures."""
 
 import base64
-import html
 import io
 import json
 import math
@@ -13,7 +12,10 @@ import flip_evaluator
 import numpy as np
 from PIL import Image
 
+from datagen.outputs import check_folder
 from datagen.store import write_text
+from datagen.text import markdown as escaped
+from datagen.text import page
 from model.evaluation import JUDGED_BY, Evaluation, Shown
 from model.metrics import HIGHER_IS_BETTER, METRICS, REGIONS, Float32, Scores
 from model.pictures import to_bytes
@@ -70,7 +72,7 @@ class Table:
 
 def write_evaluation(found: Evaluation, about: Mapping[str, str], out: Path) -> None:
     """Write `index.html`, `table.md` and `evaluation.json` into a folder; `about` says what was evaluated on what."""
-    out.mkdir(parents=True, exist_ok=True)
+    check_folder(out)
     tables = tables_of(found)
     write_text(out / "evaluation.json", json.dumps(as_json(found, about), indent=1))
     write_text(out / "table.md", markdown(tables, about))
@@ -123,13 +125,14 @@ def _subset_table(found: Evaluation, region: str) -> Table:
 
 def markdown(tables: list[Table], about: Mapping[str, str]) -> str:
     """Write the tables as Markdown."""
-    lines = ["# Evaluation", "", *(f"- {key}: {value}" for key, value in about.items())]
+    lines = ["# Evaluation", "", *(f"- {escaped(key)}: {escaped(value)}" for key, value in about.items())]
     for table in tables:
-        lines += ["", f"## {table.title}", "", f"{table.note}", "", f"| method | {' | '.join(table.columns)} |"]
+        columns = " | ".join(map(escaped, table.columns))
+        lines += ["", f"## {escaped(table.title)}", "", table.note, "", f"| method | {columns} |"]
         lines.append("|---|" + "---:|" * len(table.columns))
         for method in table.rows:
             cells = [f"**{text}**" if best else text for text, best in table.cells(method)]
-            lines.append(f"| {method} | {' | '.join(cells)} |")
+            lines.append(f"| {escaped(method)} | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
 
@@ -160,13 +163,13 @@ def _numbers(pair: tuple[float, float]) -> dict[str, float] | None:
 
 
 def _page(found: Evaluation, tables: list[Table], about: Mapping[str, str]) -> str:
-    facts = " · ".join(f"{html.escape(key)}: {html.escape(value)}" for key, value in about.items())
+    facts = " · ".join(f"{page(key)}: {page(value)}" for key, value in about.items())
     body = [f'<h1>Evaluation</h1><p class="about">{facts}</p>']
     body += ["<h2>How close to the truth</h2>", f'<div class="tables">{"".join(map(_html_table, tables))}</div>']
     if found.examples:
         body += ["<h2>Examples</h2>", *(_case(shown, found.methods) for shown in found.examples)]
     if found.worst:
-        last = html.escape(found.methods[-1])
+        last = page(found.methods[-1])
         note = f"Where {last} is furthest from the truth, by PSNR in the {JUDGED_BY} region."
         body += [f"<h2>The worst {len(found.worst)} cases</h2><p>{note}</p>", '<div class="worst">']
         body += [*(_case(shown, (found.methods[-1],)) for shown in found.worst), "</div>"]
@@ -175,12 +178,12 @@ def _page(found: Evaluation, tables: list[Table], about: Mapping[str, str]) -> s
 
 
 def _html_table(table: Table) -> str:
-    head = "".join(f"<th>{html.escape(name)}</th>" for name in ("method", *table.columns))
+    head = "".join(f"<th>{page(name)}</th>" for name in ("method", *table.columns))
     rows = []
     for method in table.rows:
         cells = "".join(f'<td class="best">{t}</td>' if best else f"<td>{t}</td>" for t, best in table.cells(method))
-        rows.append(f"<tr><td>{html.escape(method)}</td>{cells}</tr>")
-    caption = f"{html.escape(table.title)} <span>({html.escape(table.note)})</span>"
+        rows.append(f"<tr><td>{page(method)}</td>{cells}</tr>")
+    caption = f"{page(table.title)} <span>({page(table.note)})</span>"
     return f"<table><caption>{caption}</caption><tr>{head}</tr>{''.join(rows)}</table>"
 
 
@@ -195,8 +198,8 @@ def _case(shown: Shown, methods: tuple[str, ...]) -> str:
         figures.append(_figure(f"error of {methods[-1]} (FLIP)", _error(shown.outputs[methods[-1]], case.target)))
     else:
         figures.append(_figure("background", case.background))
-    tags = html.escape(", ".join(shown.subsets))
-    title = f"{html.escape(case.name)} <span>{tags}</span>"
+    tags = page(", ".join(shown.subsets))
+    title = f"{page(case.name)} <span>{tags}</span>"
     return f'<div class="case"><h3>{title}</h3><div class="row">{"".join(figures)}</div></div>'
 
 
@@ -210,7 +213,7 @@ def _figure(title: str, picture: Float32, note: str = "") -> str:
     stream = io.BytesIO()
     Image.fromarray(to_bytes(picture)).save(stream, "JPEG", quality=92, subsampling=0)
     data = base64.b64encode(stream.getvalue()).decode()
-    words = html.escape(title)
+    words = page(title)
     image = f'<img alt="{words}" src="data:image/jpeg;base64,{data}">'
     return f"<figure>{image}<figcaption>{words}<br>{note}</figcaption></figure>"
 

@@ -12,6 +12,7 @@ from torch import Tensor
 from torch.nn.functional import interpolate
 
 from datagen.errors import UserError
+from datagen.outputs import check_file
 from model.checkpoint import load_network
 from model.compositing2d import Compositing2D, apply_gains, soft_mask
 from model.depth import DepthModel, depth_from_metres, guessed_depth
@@ -45,6 +46,7 @@ def harmonize_files(files: Files, weights: Path, out: Path, device: str = "auto"
     """Harmonize one's own picture and write the result; raises `UserError` naming the file and what is wrong."""
     if files.depth and files.depth_model:
         raise UserError("give either --depth or --depth-model, not both")
+    check_file(out)
     composite, background = read_picture(files.composite), read_picture(files.background)
     mask = read_mask(files.mask)
     _same_size(files.composite, composite, [(files.background, background), (files.mask, mask)])

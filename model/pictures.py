@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageOps, UnidentifiedImageError
 
 from datagen.errors import UserError
+from datagen.outputs import written
 
 Float32 = NDArray[np.float32]
 
@@ -52,11 +53,11 @@ def write_picture(path: Path, picture: Float32) -> None:
     """Write a display-encoded picture (H, W, 3) in [0, 1] with 8 bits, in the format that the name ends in."""
     if path.suffix.lower() not in Image.registered_extensions():
         raise UserError(f"{path}: no picture format ends in {path.suffix or 'nothing'!r}; use .png, .jpg or .webp")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        Image.fromarray(to_bytes(picture)).save(path, quality=95)
-    except (OSError, KeyError) as error:
-        raise UserError(f"{path} cannot be written: {error}") from None
+    with written(path) as work:
+        try:
+            Image.fromarray(to_bytes(picture)).save(work, quality=95)
+        except KeyError as error:  # a format that can be read only
+            raise UserError(f"{path} cannot be written: {error}") from None
 
 
 def to_bytes(picture: NDArray[np.floating]) -> NDArray[np.uint8]:

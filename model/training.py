@@ -17,6 +17,7 @@ from torch.nn.parallel import DistributedDataParallel
 from torch.optim import AdamW, Optimizer
 
 from datagen.errors import UserError
+from datagen.outputs import check_folder
 from model.batches import Batch, Share, stage_at, training_batches, validation_batches
 from model.checkpoint import Progress, load_checkpoint, newest_checkpoint, save_checkpoint, save_network
 from model.compositing2d import Compositing2D
@@ -33,6 +34,7 @@ def train(config: TrainingConfig, *, fresh: bool = False) -> dict[str, float]:
     Goes on from the newest checkpoint in `config.out`, unless `fresh`. Raises `UserError` for data that cannot be
     read, a loss that is not finite (naming the samples) and memory that does not suffice (naming the remedy).
     """
+    check_folder(config.out)
     with _processes(config) as (share, device):
         if fresh and share.rank == 0 and config.out.exists():
             remove_run(config)

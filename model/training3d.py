@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from datagen.errors import UserError
+from datagen.outputs import check_folder
 from model.checkpoint import Progress, load_checkpoint, load_network, newest_checkpoint, save_checkpoint, save_network
 from model.compositing3d import harmonize_scene, scene_network
 from model.config3d import SceneTrainingConfig
@@ -130,6 +131,7 @@ def train_scenes(config: SceneTrainingConfig, *, fresh: bool = False) -> dict[st
     Goes on from the newest checkpoint in `config.out`, unless `fresh`. Raises `UserError` for weights or data that
     cannot be read and for a loss that is not finite.
     """
-    if fresh and config.out.exists():
+    check_folder(config.out)
+    if fresh:
         remove_run(config)
     return SceneTrainer(config, chosen_device(config)).run()

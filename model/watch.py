@@ -7,6 +7,7 @@ import torch
 from PIL import Image
 from torch import Tensor, nn
 
+from datagen.outputs import written
 from model.batches import Batch
 from model.metrics import EFFECT, MOST_PSNR
 
@@ -71,8 +72,8 @@ class Log:
             return
         values = (picture.clamp(0, 1) * 255).round().byte()
         path = self.folder / "samples" / f"{step:06d}.png"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        Image.fromarray(values.permute(1, 2, 0).numpy()).save(path)
+        with written(path) as work:
+            Image.fromarray(values.permute(1, 2, 0).numpy()).save(work)
         self._board.add_image("samples", values, step)
 
     def close(self) -> None:

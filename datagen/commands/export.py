@@ -9,6 +9,7 @@ import tyro
 
 from datagen.commands import export_others
 from datagen.commands.export_usd import Usd
+from datagen.text import plain
 
 Part = Literal["2d-train", "2d-eval", "3d-train", "3d-eval", "all"]
 
@@ -45,7 +46,7 @@ class DtcMultilight:
         with progress("views") as report:
             outcome = export_dtc(request, report)
         for index, reason in outcome.failures.items():
-            print(f"failed: scene {index}: {reason}", file=sys.stderr)
+            print(plain(f"failed: scene {index}: {reason}"), file=sys.stderr)
         print(f"{self.out}: written {outcome.written}, kept {outcome.kept}, failed {len(outcome.failures)}")
         return 1 if outcome.failures else 0
 

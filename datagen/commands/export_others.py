@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from datagen.text import plain
+
 if TYPE_CHECKING:
     from datagen.export.capture import Write
     from datagen.source import DatasetSource
@@ -39,7 +41,7 @@ class _Source:
         if source.skipped:
             print(f"passed over {len(source.skipped)} of {len(source.indices)} scenes:")
         for index, reason in source.skipped.items():
-            print(f"  scene {index}: {reason}")
+            print(plain(f"  scene {index}: {reason}"))
 
 
 @dataclass(kw_only=True)

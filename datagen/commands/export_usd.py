@@ -6,6 +6,8 @@ from typing import Literal
 
 import tyro
 
+from datagen.text import plain
+
 
 @dataclass
 class Usd:
@@ -34,6 +36,6 @@ class Usd:
         with progress("scenes") as report:
             made = export_usd(source, self.out, report, scene=self.scene, assets=self.assets)
         for index, reason in source.skipped.items():
-            print(f"passed over scene {index}: {reason}")
+            print(plain(f"passed over scene {index}: {reason}"))
         print(f"{self.out}: stages {len(made)}, passed over {len(source.skipped)}")
         return 0

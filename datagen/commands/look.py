@@ -84,6 +84,7 @@ class Sheet:
 
     def run(self) -> int:
         """Write the sheet and return the exit code."""
+        from datagen.outputs import check_file, written
         from datagen.sheet import contact_sheet
         from datagen.source import open_dataset
 
@@ -92,7 +93,12 @@ class Sheet:
         source = open_dataset(self.dir)
         if not source.indices:
             raise UserError(f"{self.dir} holds no finished scene; make some with: multilight dataset --out {self.dir}")
-        contact_sheet(source, scenes=self.scenes).save(self.out)
+        if self.out.suffix.lower() not in (".png", ".jpg", ".webp"):
+            raise UserError(f"--out {self.out}: the suffix must be .png, .jpg or .webp")
+        check_file(self.out)
+        sheet = contact_sheet(source, scenes=self.scenes)
+        with written(self.out) as work:
+            sheet.save(work)
         print(f"contact sheet: {self.out}")
         return 0
 
@@ -116,8 +122,11 @@ class Stats:
 
     def run(self) -> int:
         """Measure, print a table, write the page and return the exit code: 1 where something leaks."""
+        from datagen.outputs import check_folder
         from datagen.stats.page import print_summary, write_page
 
+        if self.out is not None:
+            check_folder(self.out)
         summary, out = self._measure()
         print_summary(summary)
         if out is not None:

@@ -10,6 +10,7 @@ import tyro
 
 from datagen.errors import UserError
 from datagen.presets import Preset
+from datagen.text import plain
 
 Kind = Literal["tabletop", "room", "outdoor", "studio", "custom", "spheres", "imported", "mixed"]
 Renderer = Literal["auto", "mitsuba", "cycles", "analytic"]
@@ -108,9 +109,9 @@ def make_scenes(
     if outcome.broken:
         print(f"passed over {len(outcome.broken)} broken assets:", file=sys.stderr)
     for asset, reason in sorted(outcome.broken.items()):
-        print(f"  {asset}: {reason}", file=sys.stderr)
+        print(plain(f"  {asset}: {reason}"), file=sys.stderr)
     for index, reason in outcome.failures.items():
-        print(f"failed: scene {index}: {reason}", file=sys.stderr)
+        print(plain(f"failed: scene {index}: {reason}"), file=sys.stderr)
     if spent := sum(outcome.seconds.values()):
         print(", ".join(f"{stage} {share / spent:.0%}" for stage, share in outcome.seconds.items()) + " of the time")
     if outcome.made or outcome.failures:

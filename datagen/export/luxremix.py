@@ -9,6 +9,7 @@ mix = background + the sum over lights of (power * color of the mix / power * co
 import json
 import tempfile
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -90,19 +91,19 @@ def _write_tars(source: DatasetSource, copy: Copy, report: Callable[[float, floa
     if copy.holds(wanted):
         return _each(source, lambda record, passes, part: None, report)
     parts: dict[str, ScenePart] = {}
-    with copy.filling() as folder:
+    with copy.filling() as folder, ExitStack() as open_shards:
         shards = {
             split: TarShards(folder, split, most_bytes=1 << 62, most_groups=SCENES_A_TAR, digits=4)
             for split in ("training", "test")
         }
+        for writer in shards.values():
+            open_shards.callback(writer.close)
 
         def write(record: SceneRecord, passes: Passes, part: ScenePart) -> None:
             shards["training" if record.split == "train" else "test"].add(_packed(source, record, passes))
             parts[f"{record.index:06d}"] = part
 
         outcome = _each(source, write, report)
-        for writer in shards.values():
-            writer.close()
     copy.finish(*(name for writer in shards.values() for name, _ in writer.shards), parts=parts)
     return outcome
 

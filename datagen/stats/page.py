@@ -1,17 +1,18 @@
 """The statistics of a dataset as one self-contained HTML page, a JSON file and a table for the terminal."""
 
 import base64
-import html
 import json
 from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
 
+from datagen.outputs import check_folder
 from datagen.stats.collect import Summary, quantiles
 from datagen.stats.plots import bar_plot, direction_plot
 from datagen.stats.quantities import Quantity
 from datagen.store import write_text
+from datagen.text import page, terminal
 
 MOST_PAIRS = 100
 """Near-duplicates that the page lists; `stats.json` holds all."""
@@ -32,13 +33,13 @@ th, td { padding: 4px 12px; text-align: left; border-bottom: 1px solid #e6eaee }
 
 def write_page(summary: Summary, out: Path) -> None:
     """Write `index.html` and `stats.json` into a folder, which is made where it is missing."""
-    out.mkdir(parents=True, exist_ok=True)
+    check_folder(out)
     write_text(out / "stats.json", json.dumps(summary.as_json(), indent=1))
     write_text(out / "index.html", _page(summary))
 
 
 def _page(summary: Summary) -> str:
-    title = html.escape(summary.title)
+    title = page(summary.title)
     body = [f"<h1>{title}</h1>", *_verdicts(summary)]
     for section in SECTIONS:
         cards = [_card(summary, q) for q in summary.quantities if q.section == section]
@@ -56,7 +57,7 @@ def _verdicts(summary: Summary) -> list[str]:
     lines = []
     if summary.leaks:
         shown = ", ".join(f"{leak.what} ({' and '.join(leak.splits)})" for leak in summary.leaks[:20])
-        lines.append(f'<p class="bad">{len(summary.leaks)} models or places cross splits: {html.escape(shown)}</p>')
+        lines.append(f'<p class="bad">{len(summary.leaks)} models or places cross splits: {page(shown)}</p>')
     else:
         lines.append('<p class="good">No model or environment place crosses splits.</p>')
     if summary.duplicates:
@@ -93,8 +94,8 @@ def _direction_card(summary: Summary) -> str:
 def _framed(title: str, svg: str, note: str) -> str:
     """Put a plot on a card; as an image of its own, so that names inside the SVGs cannot clash."""
     data = base64.b64encode(svg.encode()).decode()
-    picture = f'<img alt="{html.escape(title)}" src="data:image/svg+xml;base64,{data}">'
-    return f'<div class="card"><h3>{html.escape(title)}</h3>{picture}<p>{note}</p></div>'
+    picture = f'<img alt="{page(title)}" src="data:image/svg+xml;base64,{data}">'
+    return f'<div class="card"><h3>{page(title)}</h3>{picture}<p>{note}</p></div>'
 
 
 def _coverage_table(summary: Summary) -> str:
@@ -103,7 +104,7 @@ def _coverage_table(summary: Summary) -> str:
         c = summary.coverage[q.key]
         numbers = (len(summary.values[q.key]), len(c.counts), f"{100 * c.filled:.0f} %", f"{c.evenness:.2f}")
         cells = "".join(f'<td class="n">{number}</td>' for number in numbers)
-        rows.append(f"<tr><td>{html.escape(q.title)}</td>{cells}</tr>")
+        rows.append(f"<tr><td>{page(q.title)}</td>{cells}</tr>")
     return f"<table>{''.join(rows)}</table>"
 
 
@@ -118,7 +119,7 @@ def _pairs(summary: Summary) -> list[str]:
 
 def print_summary(summary: Summary) -> None:
     """Print a short table: each quantity with its spread and coverage; leaks and near-duplicates below."""
-    table = Table(title=summary.title)
+    table = Table(title=terminal(summary.title))
     table.add_column("quantity", no_wrap=True)
     for column in ("5 %", "median", "95 %", "filled", "even"):
         table.add_column(column, justify="right", no_wrap=True)
@@ -130,7 +131,9 @@ def print_summary(summary: Summary) -> None:
             most = max(range(len(coverage.counts)), key=lambda i: coverage.counts[i])
             spread = ["", f"{coverage.labels[most]}", ""]
         name = f"{q.key} [{q.unit}]" if q.unit in ("m", "lx", "K", "deg", "mm", "stops") else q.key
-        table.add_row(name.replace("[", "\\["), *spread, f"{100 * coverage.filled:.0f} %", f"{coverage.evenness:.2f}")
+        table.add_row(
+            terminal(name), *map(terminal, spread), f"{100 * coverage.filled:.0f} %", f"{coverage.evenness:.2f}"
+        )
     console = Console()
     console.print(table)
     console.print(f"{len(summary.leaks)} models or places cross splits; {len(summary.duplicates)} near-duplicate pairs")

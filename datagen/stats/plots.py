@@ -12,10 +12,13 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, NullLocator
 
 from datagen.stats.quantities import Coverage, Quantity, Value
+from datagen.text import plain
 
 BAR, PALE, INK, EDGE = "#3b6ea5", "#e8edf3", "#333a42", "#c9d1da"
 MOST_WORDS = 18
 """Bars of a quantity of words; the rest becomes one more bar."""
+LONGEST_WORD = 40
+"""Letters of a word that are shown."""
 STYLE: Any = {
     "font.size": 8,
     "axes.edgecolor": EDGE,
@@ -58,7 +61,7 @@ def _round_numbers(low: float, high: float) -> list[float]:
 def _word_plot(coverage: Coverage) -> str:
     """Plot words as horizontal bars, the most frequent on top."""
     order = sorted(range(len(coverage.labels)), key=lambda i: -coverage.counts[i])
-    labels = [coverage.labels[i].replace("_", " ") for i in order[:MOST_WORDS]]
+    labels = [plain(coverage.labels[i])[:LONGEST_WORD].replace("_", " ") for i in order[:MOST_WORDS]]
     counts = [coverage.counts[i] for i in order[:MOST_WORDS]]
     if len(order) > MOST_WORDS:
         labels.append(f"{len(order) - MOST_WORDS} more together")
@@ -69,7 +72,7 @@ def _word_plot(coverage: Coverage) -> str:
         single = counts[:MOST_WORDS]
         colours = [BAR] * len(single) + [EDGE] * (len(counts) - len(single))
         axes.barh(np.arange(len(labels)), np.minimum(counts, 1.1 * max(single)), color=colours, height=0.75)
-        axes.set_yticks(np.arange(len(labels)), labels)
+        axes.set_yticks(np.arange(len(labels)), labels, parse_math=False)
         axes.set_ylim(len(labels) - 0.4, -0.6)
         for place, count in enumerate(counts):
             axes.text(min(count, 1.1 * max(single)), place, f" {count}", va="center", fontsize=7)

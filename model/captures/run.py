@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from datagen.errors import UserError, full_disk_told
+from datagen.outputs import check_folder, written
+from datagen.store import write_text
 from model.captures.assets import load_asset
 from model.captures.capture import Capture, check_alignment
 from model.captures.depths import with_depth
@@ -45,6 +47,7 @@ def insert_into_files(
     """
     if frames < 0:
         raise UserError(f"--frames {frames} must be 0 or more")
+    check_folder(out)
     network = load_network(sources.weights or DEFAULT_WEIGHTS).to(chosen_device(sources.device))
     stage3d, asset = load_stage3d(sources.weights_3d), load_asset(sources.asset)
     bare = read_capture(sources.capture, max_side=max_side, every=every)
@@ -58,16 +61,16 @@ def insert_into_files(
     result = harmonize_capture(
         capture, inserted, network, stage3d, side=side, report=lambda done, count: _tell(f"view {done}/{count}")
     )
-    out.mkdir(parents=True, exist_ok=True)
     with full_disk_told(out):
         _write(out, capture, inserted, result)
         placement = {"world_from_asset": pose.tolist(), "asset": sources.asset, "views": list(capture.names)}
-        (out / "placement.json").write_text(json.dumps(placement, indent=1) + "\n")
+        write_text(out / "placement.json", json.dumps(placement, indent=1) + "\n")
         if frames:
             middle = pose[:3, :3] @ [0.0, 0.0, asset.size[2] / 2] + pose[:3, 3]
             orbit = orbit_cameras(capture.cameras, np.asarray(middle), scene_up(capture), frames)
             shown = (render_gaussians(camera, result.gaussians) for camera in orbit)
-            write_video(out / "orbit.mp4", shown, (orbit[0].width, orbit[0].height))
+            with written(out / "orbit.mp4") as work:
+                write_video(work, shown, (orbit[0].width, orbit[0].height))
 
 
 def _write(out: Path, capture: Capture, inserted: Inserted, result: Harmonized) -> None:
@@ -80,7 +83,8 @@ def _write(out: Path, capture: Capture, inserted: Inserted, result: Harmonized) 
             write_picture(out / folder / Path(name).with_suffix(".png"), view)
     for name, share in zip(capture.names, inserted.coverage, strict=True):
         write_picture(out / "masks" / Path(name).with_suffix(".png"), np.repeat(share[..., None], 3, axis=-1))
-    write_gaussians(out / "scene.ply", result.gaussians)
+    with written(out / "scene.ply") as work:
+        write_gaussians(work, result.gaussians)
 
 
 def _tell(line: str) -> None:

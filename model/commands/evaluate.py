@@ -49,6 +49,7 @@ class Evaluate:
 
     def run(self) -> int:
         """Evaluate, write the pages, print the main table, and return the exit code."""
+        from datagen.outputs import check_folder
         from datagen.report import progress
         from model.evaluation import evaluate, methods_of
         from model.evaluation_page import markdown, tables_of, write_evaluation
@@ -61,6 +62,7 @@ class Evaluate:
                 f"--refine-iterations {' '.join(map(str, self.refine_iterations))}: "
                 "needs --weights-3d, and numbers from 1 up; 0 is always compared"
             )
+        check_folder(self.out)
         groups = self._groups()
         weights = self.weights or (DEFAULT_WEIGHTS,)
         models = {path.stem: network_harmonizer(path, self.device) for path in weights}
