@@ -39,6 +39,7 @@ from datagen.manifest import (
     write_manifest,
 )
 from datagen.source import DatasetSource
+from datagen.store import file_inside
 from scenes.whole import write_whole
 
 WORK = "work"
@@ -57,10 +58,12 @@ def whole_folder(root: Path, name: str) -> Iterator[Path]:
     try:
         with full_disk_told(root):
             yield partial
-            final = root / name
+            final = file_inside(root, name)  # whatever was put in the way
             final.parent.mkdir(parents=True, exist_ok=True)
-            if final.exists():
+            if final.is_dir() and not final.is_symlink():
                 shutil.rmtree(final)
+            else:
+                final.unlink(missing_ok=True)
             partial.replace(final)
     finally:
         shutil.rmtree(partial, ignore_errors=True)

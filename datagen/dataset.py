@@ -1,14 +1,12 @@
 """Make or continue a dataset: plan, worker processes, index; resumable after any kill."""
 
 import contextlib
-import errno
-import fcntl
 import importlib.metadata
 import multiprocessing
 import os
 import shutil
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import TimeoutError as FutureTimeout
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,8 +19,9 @@ from datagen.background import check_background
 from datagen.config import DatasetConfig
 from datagen.errors import RunStoppedError, UserError, full_disk_told
 from datagen.index import write_index
+from datagen.locks import locked
 from datagen.records import DatasetRecord
-from datagen.store import check_links, read_dataset, read_scene, scene_dir, scene_indices, write_text
+from datagen.store import read_dataset, read_scene, scene_dir, scene_indices, write_text
 from datagen.worker import WorkerSetup, log_path, run_scene
 from scenes.assets.library import AssetError, AssetLibrary
 
@@ -82,7 +81,7 @@ def make_dataset(plan: Plan, report: Report) -> Outcome:
     renderer = resolve_renderer(plan.config.renderer)
     _check_kind(plan.config, renderer)
     check_background(plan.config)
-    with _locked(plan.root), full_disk_told(plan.root):
+    with locked(plan.root), full_disk_told(plan.root):
         _open_record(plan, renderer)
         for leftover in ("work", "logs"):
             shutil.rmtree(plan.root / leftover, ignore_errors=True)
@@ -111,25 +110,6 @@ def _check_kind(config: DatasetConfig, renderer: RendererName) -> None:
             f"renderer 'analytic' is a closed form for spheres on a plane and cannot render kind {config.kind!r}; "
             "use --kind spheres, or --renderer cycles"
         )
-
-
-@contextlib.contextmanager
-def _locked(root: Path) -> Iterator[None]:
-    """Hold the dataset's lock; the kernel drops it when the process ends, however it ends."""
-    try:
-        root.mkdir(parents=True, exist_ok=True)
-        check_links(root)
-        lock = (root / ".lock").open("w")
-    except OSError as error:
-        raise UserError(f"output folder {root} cannot be written: {error.strerror}; choose another --out") from None
-    with lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            if error.errno not in (errno.EWOULDBLOCK, errno.EACCES):
-                raise
-            raise UserError(f"{root} is being made by another process; wait for it or stop it first") from None
-        yield
 
 
 def _open_record(plan: Plan, renderer: RendererName) -> None:

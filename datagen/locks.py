@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import IO
 
 from datagen.errors import UserError
+from datagen.store import check_links
 
 LOCK = ".lock"
 
@@ -17,11 +18,12 @@ def locked(root: Path) -> Iterator[None]:
     """Make an output folder and hold its lock, which the kernel drops when the process ends, however it ends.
 
     A folder that is still empty at the end, and was made here, goes again. Raises `UserError` where the folder cannot
-    be written or another process is at work in it.
+    be written or another process is at work in it, `StoreError` where something in it is a link that leads out of it.
     """
     new = not root.exists()
     try:
         root.mkdir(parents=True, exist_ok=True)
+        check_links(root)
         lock = _taken(root / LOCK)
     except OSError as error:
         if isinstance(error, BlockingIOError):

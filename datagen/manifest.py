@@ -7,6 +7,7 @@ checks by it.
 import hashlib
 import json
 import os
+import shlex
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -123,8 +124,11 @@ def parse_manifest(content: bytes, name: str) -> Manifest:
 
 def remedy(manifest: Manifest, root: str) -> str:
     """Say the command that makes what is damaged or missing anew."""
-    command = "pack" if manifest.kind == "packed" else f"export {manifest.kind}"
-    return f"made anew by: multilight {command} {manifest.source.address} --out {root}"
+    words = ["pack"] if manifest.kind == "packed" else ["export", manifest.kind]
+    for key, value in manifest.settings.items():
+        option = f"--{key.replace('_', '-')}"
+        words += [option] if value is True else [] if value in (None, False) else [option, str(value)]
+    return f"made anew by: multilight {shlex.join([*words, manifest.source.address, '--out', root])}"
 
 
 def files_under(folder: Path) -> dict[str, int | None]:

@@ -4,6 +4,7 @@ import io
 import json
 import re
 import shutil
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -19,9 +20,15 @@ from datagen.export.credits import credit_lines
 from datagen.export.dtc_readme import write_readme
 from datagen.records import AssetCredit
 from datagen.source import open_dataset
+from datagen.stats.collect import Leak, measure_dataset
+from datagen.stats.duplicates import Pair
+from datagen.stats.page import print_summary, write_page
 from datagen.stats.plots import bar_plot
 from datagen.stats.quantities import Coverage, Quantity
 from datagen.text import markdown, page, plain, terminal
+from model.evaluation import Evaluation, Frame
+from model.evaluation_page import write_evaluation
+from scenes.assets.library import AssetLibrary
 
 HOSTILE = (
     "a\n\n# Owned\n\n<script>alert(1)</script> | x | [c](javascript:d) ![e](http://f) `g` **h** "
@@ -107,6 +114,38 @@ def test_plots_show_words_as_they_are() -> None:
     quantity = Quantity("kind", "scenes", "kind", "", None)
     svg = bar_plot(quantity, Coverage((HOSTILE, "$x$"), (1, 2), 1.0, 1.0))
     assert "<script" not in svg
+
+
+def test_the_statistics_page_shows_names_as_they_are(
+    spheres_dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = measure_dataset(spheres_dataset, AssetLibrary(), lambda done, total: None)
+    pair = Pair(0, 1, "content", 0.1)
+    hostile = replace(found, title=HOSTILE, leaks=(Leak(HOSTILE, ("train", "test")),), duplicates=(pair,))
+    write_page(hostile, tmp_path)
+    shows_names(tmp_path / "index.html")
+    print_summary(hostile)
+    assert "\x1b" not in capsys.readouterr().out
+
+
+def test_the_evaluation_shows_names_as_they_are(tmp_path: Path) -> None:
+    score = {"image": {"PSNR": 20.0, "SSIM": 0.5, "FLIP": 0.1}}
+    frame = Frame(HOSTILE, (HOSTILE,), {HOSTILE: score}, {HOSTILE: 0.1})
+    found = Evaluation((HOSTILE,), [frame], megabytes={HOSTILE: 1.0})
+    write_evaluation(found, {HOSTILE: HOSTILE}, tmp_path)
+    shows_names(tmp_path / "index.html")
+    read = tokens((tmp_path / "table.md").read_text())
+    assert not [token for token in read if token.type in ("html_block", "html_inline", "image", "link_open")]
+    assert {token.tag for token in read if token.type == "heading_open"} == {"h1", "h2"}
+    assert sum(token.tag == "h1" and token.type == "heading_open" for token in read) == 1
+
+
+def shows_names(path: Path) -> None:
+    """Hold a page to the tags that it has of itself, and to characters that show."""
+    text = path.read_text()
+    assert "<script" not in text
+    assert "\x1b" not in text
+    assert "&lt;script&gt;" in text
 
 
 def test_a_query_prints_what_is_in_the_index(

@@ -48,7 +48,7 @@ def export_webdataset(
 
     Raises `UserError` where `out` holds something else.
     """
-    with making(out, "webdataset", source, {"pairs": options.pairs, "most_bytes": options.most_bytes}) as copy:
+    with making(out, "webdataset", source, {"pairs": options.pairs, "shard_mb": options.most_bytes // 10**6}) as copy:
         if copy.holds({f"{index:06d}": scene_part(source, index) for index in source.indices}):
             return None
         with copy.filling() as folder:
