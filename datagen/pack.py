@@ -108,13 +108,21 @@ def _finish(source: DatasetSource, copy: Copy, made: int) -> Packed:
             path = copy.root / packed_file(record.index, number)
             rows += visible_rows(record, number, read_packed(path))
             views, native, packed = views + 1, native + view.bytes, packed + path.stat().st_size
-    with source.local("dataset.json") as original, write_whole(copy.root / "dataset.json") as work:
-        shutil.copyfile(original, work)
-    for name, table in (("index.parquet", source.table), (VISIBLE, pl.DataFrame(rows))):
-        with write_whole(copy.root / name) as work:
-            table.write_parquet(work)
+    _copy(source, "dataset.json", copy.root)
+    try:
+        _copy(source, "index.parquet", copy.root)
+    except (StoreError, FileNotFoundError):  # of a dataset that is not finished it is made up
+        with write_whole(copy.root / "index.parquet") as work:
+            source.table.write_parquet(work)
+    with write_whole(copy.root / VISIBLE) as work:
+        pl.DataFrame(rows).write_parquet(work)
     copy.finish("dataset.json", "index.parquet", VISIBLE)
     return Packed(made, len(source.indices) - made, views, native, packed)
+
+
+def _copy(source: DatasetSource, name: str, root: Path) -> None:
+    with source.local(name) as original, write_whole(root / name) as work:
+        shutil.copyfile(original, work)
 
 
 def _difference(view: ViewData, packed: PackedView) -> str:
