@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from datagen.errors import full_disk_told
 from datagen.store import write_text
 from datagen.text import markdown as escaped
 from model.ablations import AVERAGED, CARRIED, COMPOSITE, GLOW, STAGE_2D, Run
@@ -116,8 +117,9 @@ def write_tables(title: str, runs: Sequence[Run], found: Evaluation, about: Mapp
         "rows": [{**vars(row), "figures": {k: [_known(x) for x in v] for k, v in row.figures.items()}} for row in rows],
         "methods": {method: found.means(method) for method in found.methods},
     }
-    write_text(out / "table.json", json.dumps(record, indent=1))
-    write_text(out / "table.md", text)
+    with full_disk_told(out):
+        write_text(out / "table.json", json.dumps(record, indent=1))
+        write_text(out / "table.md", text)
     return text
 
 

@@ -12,6 +12,7 @@ import flip_evaluator
 import numpy as np
 from PIL import Image
 
+from datagen.errors import full_disk_told
 from datagen.outputs import check_folder
 from datagen.store import write_text
 from datagen.text import markdown as escaped
@@ -74,9 +75,10 @@ def write_evaluation(found: Evaluation, about: Mapping[str, str], out: Path) -> 
     """Write `index.html`, `table.md` and `evaluation.json` into a folder; `about` says what was evaluated on what."""
     check_folder(out)
     tables = tables_of(found)
-    write_text(out / "evaluation.json", json.dumps(as_json(found, about), indent=1))
-    write_text(out / "table.md", markdown(tables, about))
-    write_text(out / "index.html", _page(found, tables, about))
+    with full_disk_told(out):
+        write_text(out / "evaluation.json", json.dumps(as_json(found, about), indent=1))
+        write_text(out / "table.md", markdown(tables, about))
+        write_text(out / "index.html", _page(found, tables, about))
 
 
 def tables_of(found: Evaluation) -> list[Table]:

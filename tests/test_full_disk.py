@@ -95,7 +95,7 @@ def test_pages_are_written_whole_or_not(
         words = [word if word != "train" else json.loads(_record(spheres_dataset))["split"] for word in words]
     with largest_file(3000):
         assert run(words, spheres_dataset, out, pictures) == 1
-    assert "file too large" in told(capsys).lower()
+    assert f"error: {out}: file too large" in told(capsys)
     for path in out.iterdir():
         assert path.stat().st_size < 3000, "a cut file"
         assert path.suffix == ".md" or json.loads(path.read_text())

@@ -37,6 +37,8 @@ class Verify:
 
         if (copy := copy_at(self.dir)) is not None:
             return print_copy_verification(copy, quick=self.quick, source=self.source, as_json=self.json)
+        if self.source is not None:
+            raise UserError(f"--source goes with a packed copy or an export, and {self.dir} is neither")
         return print_verification(self.dir, verify_dataset(self.dir), as_json=self.json)
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
+from datagen.errors import full_disk_told
 from datagen.outputs import check_folder
 from datagen.stats.collect import Summary, quantiles
 from datagen.stats.plots import bar_plot, direction_plot
@@ -34,8 +35,9 @@ th, td { padding: 4px 12px; text-align: left; border-bottom: 1px solid #e6eaee }
 def write_page(summary: Summary, out: Path) -> None:
     """Write `index.html` and `stats.json` into a folder, which is made where it is missing."""
     check_folder(out)
-    write_text(out / "stats.json", json.dumps(summary.as_json(), indent=1))
-    write_text(out / "index.html", _page(summary))
+    with full_disk_told(out):
+        write_text(out / "stats.json", json.dumps(summary.as_json(), indent=1))
+        write_text(out / "index.html", _page(summary))
 
 
 def _page(summary: Summary) -> str:
