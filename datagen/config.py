@@ -167,11 +167,14 @@ def _nearest(key: str) -> str:
     return f"did you mean {known[close[0]]!r}? " if close else ""
 
 
-def load_config(path: Path | None, overrides: dict[str, Any], preset: Preset | None = None) -> DatasetConfig:
+def load_config(
+    path: Path | None, overrides: dict[str, Any], preset: Preset | None = None, below: dict[str, Any] | None = None
+) -> DatasetConfig:
     """Read a TOML file (if any) over a preset (if any), lay the command line's values over both and validate.
 
-    The file may name the preset itself (`preset = "room"`); the argument goes first. Raises `UserError` with the
-    file, the key, the value and the allowed range.
+    All goes over `below`, the settings of a dataset that is continued. The file may name the preset itself
+    (`preset = "room"`); the argument goes first. Raises `UserError` with the file, the key, the value and the allowed
+    range.
     """
     values = {} if path is None else _read_toml(path)
     given = {key: value for key, value in overrides.items() if value is not None}
@@ -179,7 +182,7 @@ def load_config(path: Path | None, overrides: dict[str, Any], preset: Preset | N
     values.pop("preset", None)
     if base is not None and str(base) not in PRESETS:
         raise UserError(f"{path}: preset = {base!r}: there are {', '.join(PRESETS)}")
-    start = PRESETS[base].values if base else {}
+    start = _joined(below or {}, PRESETS[base].values if base else {})
     try:
         return DatasetConfig.model_validate(_joined(_joined(start, values), given))
     except ValidationError as error:

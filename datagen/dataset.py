@@ -5,6 +5,7 @@ import importlib.metadata
 import multiprocessing
 import os
 import shutil
+import sys
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import TimeoutError as FutureTimeout
@@ -17,10 +18,11 @@ from datagen.backends import RendererName, resolve_renderer
 from datagen.backends.variants import choose_variant
 from datagen.background import check_background
 from datagen.config import DatasetConfig
-from datagen.errors import RunStoppedError, UserError, full_disk_told
-from datagen.index import write_index
+from datagen.errors import RunStoppedError, StoreError, UserError, full_disk_told
+from datagen.finishing import finish, survey
+from datagen.integrity import ANEW
 from datagen.locks import locked
-from datagen.records import DatasetRecord
+from datagen.records import GHOSTS, DatasetRecord
 from datagen.store import read_dataset, read_scene, scene_dir, scene_indices, write_text
 from datagen.worker import WorkerSetup, log_path, run_scene
 from scenes.assets.library import AssetError, AssetLibrary
@@ -32,24 +34,31 @@ VERSIONS = ("multilight", "bpy", "mitsuba", "drjit", "mitsuba-oidn", "OpenEXR", 
 
 
 SCALAR = "scalar_rgb"
+COPIED = ("visible.parquet", "manifest.json")
+"""Files that only packed copies and exports have."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A run: where, what, which scenes, with how many processes."""
+    """A run: where, what, which scenes, with how many processes.
+
+    `repair` looks at the contents of what is there as well, not at names and sizes only.
+    """
 
     root: Path
     config: DatasetConfig
     indices: tuple[int, ...]
     workers: int
     asset_folders: tuple[Path, ...] = ()
+    repair: bool = False
 
 
 @dataclass(frozen=True)
 class Outcome:
     """What a run did; `failures` maps a scene, `broken` an asset that was passed over, to one line of reason.
 
-    `seconds` maps each stage of the scenes that were made to the time it took, over all workers.
+    `changed` are scenes that were damaged and came out otherwise than the index states; `seconds` maps each stage to
+    the time it took, over all workers.
     """
 
     made: tuple[int, ...]
@@ -57,6 +66,7 @@ class Outcome:
     failures: dict[int, str]
     broken: dict[str, str]
     seconds: dict[str, float]
+    changed: tuple[int, ...]
 
 
 Report = Callable[[float, float], None]
@@ -73,7 +83,7 @@ class _Watch:
 
 
 def make_dataset(plan: Plan, report: Report) -> Outcome:
-    """Make what is missing of the plan's scenes.
+    """Make what is missing or damaged of the plan's scenes, and finish: index and credits agree with the scenes then.
 
     Raises `UserError` where the folder cannot be written, holds a dataset of another configuration or renderer,
     is being made by another run, or is full.
@@ -82,21 +92,26 @@ def make_dataset(plan: Plan, report: Report) -> Outcome:
     _check_kind(plan.config, renderer)
     check_background(plan.config)
     with locked(plan.root), full_disk_told(plan.root):
-        _open_record(plan, renderer)
+        record = _open_record(plan, renderer)
         for leftover in ("work", "logs"):
             shutil.rmtree(plan.root / leftover, ignore_errors=True)
-        done = set(scene_indices(plan.root))
-        missing = tuple(i for i in plan.indices if i not in done)
-        kept = len(plan.indices) - len(missing)
+        there = survey(plan.root, record, contents=plan.repair)
+        wanted = sorted({*plan.indices, *there.damaged})
+        missing = tuple(i for i in wanted if i not in there.rows)
+        kept = len(wanted) - len(missing)
         if not missing:
-            if not (plan.root / "index.parquet").is_file():
-                write_index(plan.root)
-            return Outcome((), kept, {}, {}, {})
+            finish(plan.root, record, there)
+            return Outcome((), kept, {}, {}, {}, ())
+        for index, reason in there.damaged.items():
+            print(f"scene {index} is damaged and made anew: {reason}", file=sys.stderr)
+        if there.rows or there.damaged:
+            _check_makers(record, plan)
         watch = _Watch(report, _broken_models(plan.asset_folders), {})
         failures = _run(plan, renderer, missing, watch)
-        _finish(plan.root)
+        shutil.rmtree(plan.root / "work", ignore_errors=True)
         made = tuple(i for i in missing if i not in failures)
-        return Outcome(made, kept, failures, watch.broken, dict(watch.seconds))
+        changed = finish(plan.root, record, there, made)
+        return Outcome(made, kept, failures, watch.broken, dict(watch.seconds), changed)
 
 
 def default_workers(scenes: int) -> int:
@@ -112,18 +127,35 @@ def _check_kind(config: DatasetConfig, renderer: RendererName) -> None:
         )
 
 
-def _open_record(plan: Plan, renderer: RendererName) -> None:
+def _check_makers(record: DatasetRecord, plan: Plan) -> None:
+    """Raise `UserError` where packs that scenes drew from are missing; tell where other versions make what is new."""
+    here = {"background", *(folder.resolve().name for folder in plan.asset_folders), *AssetLibrary().packs}
+    if missing := sorted({credit.pack for credit in record.assets} - here):
+        raise UserError(
+            f"{plan.root} was made with the pack {missing[0]!r}, which is not there; run `multilight assets fetch "
+            f"{missing[0]}`, or name the folder of that name with --assets"
+        )
+    versions = {package: importlib.metadata.version(package) for package in record.versions if package in VERSIONS}
+    if other := [f"{p} {record.versions[p]}, now {v}" for p, v in versions.items() if v != record.versions[p]]:
+        print(f"{plan.root} was made with {'; '.join(other)}: scenes may come out otherwise", file=sys.stderr)
+
+
+def _open_record(plan: Plan, renderer: RendererName) -> DatasetRecord:
     """Write `dataset.json`, or check that what is there was made with the same configuration and renderer."""
     path = plan.root / "dataset.json"
     variant = choose_variant().variant if renderer == "mitsuba" else ""
     if not path.exists():
         if any(not p.name.startswith(".") for p in plan.root.iterdir()):
             raise UserError(f"output folder {plan.root} holds other files and no dataset; choose an empty --out")
-        versions = {package: importlib.metadata.version(package) for package in VERSIONS}
-        record = DatasetRecord(config=plan.config, renderer=renderer, variant=variant, versions=versions)
-        write_text(path, record.model_dump_json(indent=1))
-        return
-    record = read_dataset(plan.root)
+        return _new_record(plan, renderer, variant)
+    if any((plan.root / name).exists() for name in COPIED):
+        raise UserError(f"{plan.root} is a packed copy or an export; the command that made it makes it anew")
+    try:
+        record = read_dataset(plan.root)
+    except StoreError as error:
+        return _restored_record(plan, renderer, variant, error)
+    if record.schema_version <= GHOSTS:
+        raise UserError(f"{plan.root} cannot be continued or repaired: {ANEW}")
     if record.renderer != renderer:
         raise UserError(
             f"{plan.root} was made with renderer {record.renderer!r} and cannot be continued with {renderer!r}; "
@@ -143,7 +175,31 @@ def _open_record(plan: Plan, renderer: RendererName) -> None:
             )
     if plan.config.scenes > record.config.scenes:
         grown = record.config.model_copy(update={"scenes": plan.config.scenes})
-        write_text(path, record.model_copy(update={"config": grown}).model_dump_json(indent=1))
+        record = record.model_copy(update={"config": grown}).sealed()
+        write_text(path, record.model_dump_json(indent=1))
+    return record
+
+
+def _new_record(plan: Plan, renderer: RendererName, variant: str) -> DatasetRecord:
+    """Write the `dataset.json` of a dataset that begins."""
+    versions = {package: importlib.metadata.version(package) for package in VERSIONS}
+    record = DatasetRecord(config=plan.config, renderer=renderer, variant=variant, versions=versions).sealed()
+    write_text(plan.root / "dataset.json", record.model_dump_json(indent=1))
+    return record
+
+
+def _restored_record(plan: Plan, renderer: RendererName, variant: str, error: StoreError) -> DatasetRecord:
+    """Write a damaged `dataset.json` anew from the options given, where every record that can be read agrees."""
+    how = f"give --repair and the options that {plan.root} was made with"
+    if not plan.repair:
+        raise UserError(f"{error}; to write it anew, {how}")
+    record = DatasetRecord(config=plan.config, renderer=renderer, versions={})
+    for index in scene_indices(plan.root):
+        with contextlib.suppress(StoreError):
+            if reason := record.misfit(read_scene(scene_dir(plan.root, index))):
+                raise UserError(f"{error}; to write it anew, {how}: of scene {index} {reason}")
+    print(f"{error}; it is written anew from the options given", file=sys.stderr)
+    return _new_record(plan, renderer, variant)
 
 
 def _broken_models(folders: tuple[Path, ...]) -> dict[str, str]:
@@ -224,16 +280,3 @@ def _failure(plan: Plan, index: int, future: ProcessFuture, watch: _Watch) -> st
     except Exception as error:
         return f"{type(error).__name__}: {error} ({where})"
     return None
-
-
-def _finish(root: Path) -> None:
-    """Bring the index and the list of assets up to date with the scenes that are there."""
-    shutil.rmtree(root / "work", ignore_errors=True)
-    logs = root / "logs"
-    if logs.is_dir() and not any(logs.iterdir()):
-        logs.rmdir()
-    write_index(root)
-    credits = {c.id: c for index in scene_indices(root) for c in read_scene(scene_dir(root, index)).assets}
-    record = read_dataset(root)
-    assets = tuple(credits[name] for name in sorted(credits))
-    write_text(root / "dataset.json", record.model_copy(update={"assets": assets}).model_dump_json(indent=1))

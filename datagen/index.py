@@ -1,14 +1,15 @@
 """The index: one Parquet row a scene, for look-ups without opening the scenes."""
 
+import io
 from collections.abc import Iterable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import polars as pl
 
+from datagen.errors import StoreError
+from datagen.parquet import check_parquet
 from datagen.records import SceneRecord
-from datagen.store import read_scene, scene_dir, scene_indices
 from lights.extent import angular_diameter
 from scenes.cameras import focal_length_mm
 from scenes.looks import is_mirror, material_class
@@ -48,25 +49,51 @@ COLUMNS: dict[str, tuple[pl.DataType, str]] = {
     "bytes": (pl.Int64(), "of all views"),
     "scene_sha256": (pl.String(), "hash of what is there"),
     "rig_sha256": (pl.String(), "hash of what shines"),
+    "record_sha256": (pl.String(), "hash of the whole record, which holds the hashes of the scene's files"),
 }
 """Each column's type and meaning."""
 
 KEY_SHARE = 0.1  # of the light in the pictures: a lamp that gives less shapes no shadows one would notice
 
 
-def write_index(root: Path) -> None:
-    """Write `index.parquet` anew from the finished scenes, under a temporary name first."""
-    table = index_table(read_scene(scene_dir(root, index)) for index in scene_indices(root))
-    path = root / "index.parquet"
-    temporary = path.with_suffix(".tmp")
-    table.write_parquet(temporary)
-    temporary.replace(path)
-
-
 def index_table(records: Iterable[SceneRecord]) -> pl.DataFrame:
     """Summarize scenes, a row each, ordered by index; columns as in `COLUMNS`."""
-    schema = {name: kind for name, (kind, _) in COLUMNS.items()}
-    return pl.DataFrame([index_row(record) for record in records], schema=schema).sort("index")
+    return table_of(index_row(record) for record in records)
+
+
+def table_of(rows: Iterable[dict[str, Any]]) -> pl.DataFrame:
+    """Put rows that `index_row` made together, ordered by index."""
+    return pl.DataFrame(list(rows), schema={name: kind for name, (kind, _) in COLUMNS.items()}).sort("index")
+
+
+def index_bytes(table: pl.DataFrame) -> bytes:
+    """Return a table as the content of an `index.parquet`; equal tables give equal bytes."""
+    stream = io.BytesIO()
+    table.write_parquet(stream)
+    return stream.getvalue()
+
+
+def parse_index(content: bytes, name: str, *, older: bool = False) -> pl.DataFrame:
+    """Understand the content of an `index.parquet`: a row a scene, ordered by scene; `name` is for the error.
+
+    One of an `older` schema may lack columns. Raises `StoreError` where it is damaged, lacks columns, has a scene
+    twice, or holds more than is read.
+    """
+    try:
+        check_parquet(content)
+        table = pl.read_parquet(io.BytesIO(content))
+    except (OSError, ValueError, pl.exceptions.PolarsError) as error:
+        reason = (str(error).splitlines() or ["empty"])[0]
+        raise StoreError(f"{name} cannot be read: {reason}") from None
+    wanted = {"index": COLUMNS["index"]} if older else COLUMNS
+    if wrong := [column for column, (kind, _) in wanted.items() if table.schema.get(column) != kind]:
+        raise StoreError(f"{name} has no column {wrong[0]!r}, or one of another type")
+    numbers = table["index"]
+    if numbers.has_nulls() or not (numbers >= 0).all():
+        raise StoreError(f"{name} has rows of no scene")
+    if doubled := numbers.filter(numbers.is_duplicated()).to_list():
+        raise StoreError(f"{name} has {doubled.count(doubled[0])} rows of scene {doubled[0]}")
+    return table.sort("index")
 
 
 def index_row(record: SceneRecord) -> dict[str, Any]:
@@ -84,6 +111,7 @@ def index_row(record: SceneRecord) -> dict[str, Any]:
         "bytes": sum(view.bytes for view in record.views),
         "scene_sha256": record.scene_sha256,
         "rig_sha256": record.rig_sha256,
+        "record_sha256": record.record_sha256,
         **_cameras(record),
         **_bodies(record),
         **_lights(record),

@@ -10,10 +10,10 @@ from datagen.config import DatasetConfig
 from datagen.denoise import AUTO_SPP
 from datagen.errors import UserError, full_disk_told
 from datagen.exposure import meter_condition, thumbnail
-from datagen.records import AssetCredit, SceneRecord, ViewRecord
+from datagen.records import AssetCredit, SceneRecord, ViewRecord, view_file
 from datagen.sheet import save_preview
 from datagen.stopwatch import Stopwatch
-from datagen.store import ViewData, file_sha256, read_view, scene_dir, view_file, write_text, write_view
+from datagen.store import ViewData, file_sha256, read_view, scene_dir, write_text, write_view
 from datagen.verify import Fault, brightness, verify_exposure, verify_pair, verify_rendered
 from datagen.views import RenderedView, Shoot, render_view
 from lights.conditions import sample_conditions
@@ -30,6 +30,7 @@ from scenes.still_life import StillLifeSettings
 from scenes.streams import Streams
 from scenes.studio import sample_studio
 from scenes.tabletop import sample_tabletop
+from scenes.whole import sync
 
 ATTEMPTS = 3
 SAMPLERS = {"tabletop": sample_tabletop, "outdoor": sample_outdoor, "studio": sample_studio, "custom": sample_custom}
@@ -127,8 +128,11 @@ def make_scene(maker: Maker, index: int) -> Made:
             if not faults:
                 final = scene_dir(maker.root, index)
                 final.parent.mkdir(parents=True, exist_ok=True)
-                shutil.rmtree(final, ignore_errors=True)  # what lies there has no scene.json
+                for path in work.rglob("*"):
+                    sync(path)
+                shutil.rmtree(final, ignore_errors=True)  # what lies there is not whole, or damaged
                 work.rename(final)
+                sync(final.parent)
                 return Made(final, watch.seconds())
         finally:
             shutil.rmtree(work, ignore_errors=True)
@@ -176,7 +180,8 @@ def _write_scene(maker: Maker, streams: Streams, work: Path, watch: Stopwatch) -
     metered = tuple(meter_condition(c, view.lights, thumbnails) for c in record.conditions)
     record = record.model_copy(update={"conditions": metered})
     save_preview(work, record)
-    write_text(work / "scene.json", record.model_dump_json(indent=1))
+    record = record.model_copy(update={"preview_sha256": file_sha256(work / "preview.png")})
+    write_text(work / "scene.json", record.sealed().model_dump_json(indent=1))
     return [f for number, found in enumerate(brightnesses) for f in verify_exposure(record, number, found)]
 
 

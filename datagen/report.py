@@ -3,15 +3,18 @@
 import contextlib
 import json
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
+from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
+from datagen.integrity import Result, Verification
+from datagen.source import repair_command
 from datagen.text import plain, terminal
-from datagen.verify import CHECKS, Fault
+from datagen.verify import CHECKS
 
 PLAIN_INTERVAL = 15.0  # seconds between progress lines where there is no terminal
 
@@ -58,30 +61,33 @@ def _plain_report(console: Console, unit: str, start: float) -> Callable[[float,
     return report
 
 
-def print_verification(root: str, results: Iterable[tuple[int, list[Fault]]], *, as_json: bool) -> int:
+def print_verification(root: str, verification: Verification, *, as_json: bool) -> int:
     """Print what was checked and return the exit code: 1 on any fault or where there is no scene."""
-    checked = list(results)
+    checked = list(verification.results)
     faults = [fault for _, found in checked for fault in found]
+    scenes = [result for result in checked if result[0] is not None]
     if as_json:
-        print(json.dumps({"scenes": len(checked), "faults": [asdict(fault) for fault in faults]}, indent=1))
-    else:
-        _print_table(root, checked)
-    if not checked and not as_json:
+        about = {"written_by": verification.written_by, "scenes": len(scenes)}
+        print(json.dumps(about | {"faults": [asdict(fault) for fault in faults]}, indent=1))
+        return 1 if faults or not scenes else 0
+    _print_table(f"{root}: {len(scenes)} scenes ({verification.written_by})", scenes)
+    for fault in faults:
+        where = "dataset" if fault.scene is None else f"scene {fault.scene}"
+        where += "" if fault.view is None else f", view {fault.view}"
+        print(plain(f"{where}: {fault.check}: {fault.message}"))
+    if not scenes:
         print(f"{root}: no finished scene")
-    return 1 if faults or not checked else 0
+    elif faults and Path(root).is_dir():
+        print(f"what is damaged is made anew by: {repair_command(root)}")
+    return 1 if faults or not scenes else 0
 
 
-def _print_table(root: str, checked: list[tuple[int, list[Fault]]]) -> None:
-    table = Table(title=terminal(f"{root}: {len(checked)} scenes"))
+def _print_table(title: str, scenes: list[Result]) -> None:
+    table = Table(title=terminal(title))
     table.add_column("scene", justify="right")
     for check in CHECKS:
         table.add_column(check)
-    for index, found in checked:
+    for index, found in scenes:
         counts = [sum(fault.check == check for fault in found) for check in CHECKS]
         table.add_row(str(index), *("ok" if n == 0 else f"[red]{n} fault(s)" for n in counts))
-    console = Console()
-    console.print(table)
-    for _, found in checked:
-        for fault in found:
-            where = f"scene {fault.scene}" + ("" if fault.view is None else f", view {fault.view}")
-            console.print(plain(f"{where}: {fault.check}: {fault.message}"), markup=False, highlight=False)
+    Console().print(table)

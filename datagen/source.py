@@ -9,24 +9,29 @@ Files are fetched whole, one by one as they are asked for; nothing is ever writt
 
 import contextlib
 import hashlib
-import os
+import multiprocessing
+import sys
 import tempfile
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
-import fsspec
 import polars as pl
 from fsspec import AbstractFileSystem
 
 from datagen.errors import StoreError, UserError
-from datagen.index import index_table
-from datagen.records import DatasetRecord, SceneRecord
-from datagen.store import ViewData, parse_dataset, parse_scene, read_view
-from scenes.inside import OutsideError, held, inside, plain_name
+from datagen.index import index_table, parse_index
+from datagen.place import Place, find_place, outside_told
+from datagen.records import GHOSTS, DatasetRecord, SceneRecord
+from datagen.store import MOST_RECORD, ViewData, parse_dataset, parse_scene, read_view, scene_folder, scene_number
+from scenes.inside import inside
+from scenes.whole import write_whole
 
 OnBroken = Literal["raise", "skip"]
+MOST_INDEX = 1 << 29
+"""Bytes of an index; that of a million scenes has about half as many."""
 
 
 @dataclass(frozen=True)
@@ -38,14 +43,32 @@ class DatasetSource:
     cannot be read are passed over by `scenes` and `passing_over`, and counted in `skipped` (scene index → reason).
     """
 
-    address: str
+    place: Place
     record: DatasetRecord
     table: pl.DataFrame = field(repr=False)
-    filesystem: AbstractFileSystem = field(repr=False)
-    root: str = field(repr=False)
     on_broken: OnBroken = "raise"
     cache: Path | None = None
     skipped: dict[int, str] = field(default_factory=dict)
+
+    @property
+    def address(self) -> str:
+        """The folder or address, as it was given."""
+        return self.place.address
+
+    @property
+    def filesystem(self) -> AbstractFileSystem:
+        """The file system that the dataset lies on."""
+        return self.place.filesystem
+
+    @property
+    def root(self) -> str:
+        """Where the dataset lies on it."""
+        return self.place.root
+
+    @property
+    def is_local(self) -> bool:
+        """Whether the dataset is a folder of this machine."""
+        return self.place.is_local
 
     @property
     def indices(self) -> tuple[int, ...]:
@@ -54,11 +77,14 @@ class DatasetSource:
 
     def scene(self, index: int) -> SceneRecord:
         """Read a scene's record; raises `StoreError` naming file and reason."""
-        name = f"{_folder(index)}/scene.json"
-        record = parse_scene(self._bytes(name), f"{self.address}/{name}")
-        if record.index != index:
-            raise StoreError(f"{self.address}/{name} is the record of scene {record.index}, not of scene {index}")
-        return record
+        with self._remedy_told():
+            record = read_record(self.place, index)
+            if (stated := self._stated(index)) not in ("", record.record_sha256):
+                raise StoreError(
+                    f"{self.address}/{scene_folder(index)}/scene.json is not the one of the index: "
+                    f"its hash is {record.record_sha256[:12]}…, not {stated[:12]}…"
+                )
+            return record
 
     def scenes(self) -> Iterator[SceneRecord]:
         """Yield the scenes in order, passing over what cannot be read where that was asked for."""
@@ -82,9 +108,9 @@ class DatasetSource:
     def view(self, record: SceneRecord, number: int) -> ViewData:
         """Read one view of a scene; raises `StoreError` naming file and reason."""
         stated = record.views[number]
-        name = f"{_folder(record.index)}/{stated.file}"
+        name = f"{scene_folder(record.index)}/{stated.file}"
         shown = f"{self.address}/{name}"
-        with self.local(name) as path:
+        with self._remedy_told(), self.local(name) as path:
             if not path.is_file():
                 raise StoreError(f"{shown} is missing")
             if path.stat().st_size != stated.bytes:
@@ -92,7 +118,7 @@ class DatasetSource:
                     f"{shown} is truncated or replaced: {path.stat().st_size} bytes, scene.json states {stated.bytes}"
                 )
             try:
-                return read_view(path)
+                return read_view(path, (record, number))
             except StoreError as error:
                 raise StoreError(str(error).replace(str(path), shown)) from None
 
@@ -102,69 +128,59 @@ class DatasetSource:
 
         Of a remote dataset it is a copy: in the cache's folder, or gone afterwards where there is none.
         """
-        if self.is_local:
-            with _told(self.address):
-                path = inside(Path(self.root), name)
-            yield path
-        elif self.cache is not None:
-            yield self._cached(self.cache, name)
-        else:
-            with tempfile.TemporaryDirectory(prefix="multilight-") as folder:
-                content = self._bytes(name)
-                path = Path(folder) / Path(name).name
-                path.write_bytes(content)
+        if self.is_local or self.cache is None:
+            with self.place.local(name) as path:
                 yield path
+        else:
+            yield self._cached(self.cache, name)
 
     @contextlib.contextmanager
     def local_scene(self, index: int) -> Iterator[Path]:
         """Lend a scene's folder as a local one: its record and all its views; copies where the dataset is remote."""
         if self.is_local:
-            with _told(self.address):
-                found = inside(Path(self.root), _folder(index))
-            yield found
+            with self.place.local(scene_folder(index)) as found:
+                yield found
             return
         with tempfile.TemporaryDirectory(prefix="multilight-") as temporary:
-            folder = Path(temporary) / _folder(index)
+            folder = Path(temporary) / scene_folder(index)
             for name in ("scene.json", *(view.file for view in self.scene(index).views)):
-                content = self._bytes(f"{_folder(index)}/{name}")
+                content = self.place.read(f"{scene_folder(index)}/{name}")
                 path = inside(folder, name)
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.write_bytes(content)
             yield folder
 
-    @property
-    def is_local(self) -> bool:
-        """Whether the dataset is a folder of this machine."""
-        return "file" in self._protocols
+    def _stated(self, index: int) -> str:
+        """Return the hash of a scene's record by the index, or nothing where that has none."""
+        return self._hashes.get(index, "")
 
-    @property
-    def _protocols(self) -> tuple[str, ...]:
-        protocol = self.filesystem.protocol
-        return (protocol,) if isinstance(protocol, str) else tuple(protocol)
+    @cached_property
+    def _hashes(self) -> dict[int, str]:
+        if "record_sha256" not in self.table.columns:
+            return {}
+        return dict(self.table.select("index", "record_sha256").iter_rows())
+
+    @contextlib.contextmanager
+    def _remedy_told(self) -> Iterator[None]:
+        """Add to what is wrong with a native dataset's scene how it is repaired."""
+        try:
+            yield
+        except StoreError as error:
+            if not self.is_local or Path(self.root, "manifest.json").exists():
+                raise
+            raise StoreError(f"{error}; made anew by: {repair_command(self.address)}") from None
 
     def _cached(self, cache: Path, name: str) -> Path:
         """Fetch a file once; the folder is named after what decides the content, so another dataset is fetched anew."""
         key = hashlib.sha256(f"{self.address}\n{self.record.canonical_json()}".encode()).hexdigest()[:16]
-        with _told(self.address):
+        with outside_told(self.address):
             path = inside(cache / key, name)
         if not path.is_file():
+            content = self.place.read(name)
             path.parent.mkdir(parents=True, exist_ok=True)
-            temporary = path.with_name(f"{path.name}.{os.getpid()}.tmp")  # processes may fetch the same file at once
-            temporary.write_bytes(self._bytes(name))
-            temporary.replace(path)
+            with write_whole(path) as work:  # processes may fetch the same file at once
+                work.write_bytes(content)
         return path
-
-    def _bytes(self, name: str) -> bytes:
-        return _read(self.filesystem, self.root, name, self.address)
-
-
-@contextlib.contextmanager
-def _told(address: str) -> Iterator[None]:
-    """Turn a name that leads out of a dataset into a `StoreError`."""
-    try:
-        yield
-    except OutsideError as error:
-        raise StoreError(f"{address}: {error}; it is not read") from None
 
 
 def open_dataset(
@@ -175,28 +191,36 @@ def open_dataset(
     `where` is an SQL expression over the columns of the index, `kind = 'room' and emissive`, say. What is read from a
     remote dataset is kept in the folder `cache`, where one is named. Raises `StoreError` where there is no dataset or
     it is damaged, `UserError` where the address or the expression cannot be understood. The index of a dataset that
-    is not finished is made up from its scenes.
+    is not finished, or one that is not as `dataset.json` states it, is made up from its scenes, which is told.
     """
-    text = str(address).rstrip("/") or str(address)
-    try:
-        filesystem, root = fsspec.core.url_to_fs(text)
-    except (ValueError, ImportError) as error:
-        raise UserError(
-            f"{text} cannot be opened: {error} (S3 and HTTP need: pip install 'multilight[remote]')"
-        ) from None
-    record = parse_dataset(_read(filesystem, root, "dataset.json", text), f"{text}/dataset.json")
-    source = DatasetSource(text, record, index_table([]), filesystem, root, on_broken, cache)
+    place = find_place(address)
+    record = parse_dataset(place.read("dataset.json", MOST_RECORD), f"{place.address}/dataset.json")
+    source = DatasetSource(place, record, index_table([]), on_broken, cache)
     table = _index_of(source)
     return replace(source, table=table if where is None else select(table, where))
 
 
-def read_index(content: bytes, name: str) -> pl.DataFrame:
-    """Understand the content of an `index.parquet`: a row a scene, ordered by scene; `name` is for the error."""
-    try:
-        return pl.read_parquet(content).sort("index")
-    except (OSError, pl.exceptions.PolarsError) as error:
-        reason = (str(error).splitlines() or ["empty"])[0]
-        raise StoreError(f"{name} cannot be read: {reason}; without the file, it is made up from the scenes") from None
+def read_record(place: Place, index: int) -> SceneRecord:
+    """Read the record of a scene; raises `StoreError` naming file and reason."""
+    name = f"{scene_folder(index)}/scene.json"
+    record = parse_scene(place.read(name, MOST_RECORD), f"{place.address}/{name}")
+    if record.index != index:
+        raise StoreError(f"{place.address}/{name} is the record of scene {record.index}, not of scene {index}")
+    return record
+
+
+def read_index(place: Place, record: DatasetRecord) -> pl.DataFrame:
+    """Read the index of a dataset; raises `StoreError` where it is missing, damaged, or not as `record` states it."""
+    content, shown = place.read("index.parquet", MOST_INDEX), f"{place.address}/index.parquet"
+    stated = record.index_sha256
+    if record.schema_version > GHOSTS and hashlib.sha256(content).hexdigest() != stated:
+        raise StoreError(f"{shown} is not the one that dataset.json states")
+    return parse_index(content, shown, older=record.schema_version <= GHOSTS)
+
+
+def repair_command(address: str) -> str:
+    """Return the command that makes what is damaged in a dataset anew."""
+    return f"multilight dataset --out {address} --repair"
 
 
 def select(table: pl.DataFrame, where: str) -> pl.DataFrame:
@@ -208,46 +232,42 @@ def select(table: pl.DataFrame, where: str) -> pl.DataFrame:
         raise UserError(f"where {where!r}: {reason}; the columns are {', '.join(table.columns)}") from None
 
 
+def scene_names(place: Place) -> list[int] | None:
+    """List the scenes that have a folder; None where the place cannot list."""
+    names = place.names("scenes")
+    return None if names is None else sorted(n for name in names if (n := scene_number(name)) is not None)
+
+
 def _index_of(source: DatasetSource) -> pl.DataFrame:
+    """Read the index, or make it up, whole or for the scenes that it lacks, and tell."""
+    place, record = source.place, source.record
     try:
-        content = source._bytes("index.parquet")
-    except StoreError as missing:
-        found = _scene_folders(source)
+        table = read_index(place, record)
+    except StoreError as error:
+        found = scene_names(place)
+        if found is None:
+            found = [
+                index for index in range(record.config.scenes) if place.exists(f"{scene_folder(index)}/scene.json")
+            ]
         if not found:
-            raise missing from None
+            raise
+        if record.index_sha256:
+            _tell(f"{error}; made up from the {len(found)} scenes, put right by: {repair_command(place.address)}")
         return index_table(_readable(source, found))
-    return read_index(content, f"{source.address}/index.parquet")
+    lacks = sorted(set(scene_names(place) or ()) - set(table["index"])) if place.is_local else []
+    if lacks:
+        _tell(f"{place.address}/index.parquet lacks {len(lacks)} of the scenes; they are read from their records")
+        table = pl.concat([table, index_table(_readable(source, lacks))], how="diagonal").sort("index")
+    return table
 
 
-def _scene_folders(source: DatasetSource) -> list[int]:
-    try:
-        names = source.filesystem.glob(f"{source.root}/scenes/*/scene.json")
-    except Exception:  # backends that cannot list raise errors of many kinds
-        return []
-    folders = [str(name).split("/")[-2] for name in names]
-    return sorted(int(folder) for folder in folders if folder.isdigit())
+def _tell(message: str) -> None:
+    """Say something once, however many processes open the dataset."""
+    if multiprocessing.parent_process() is None:
+        print(message, file=sys.stderr)
 
 
 def _readable(source: DatasetSource, indices: Iterable[int]) -> Iterator[SceneRecord]:
     for index in indices:
         with source.passing_over(index):
             yield source.scene(index)
-
-
-def _folder(index: int) -> str:
-    return f"scenes/{index:06d}"
-
-
-def _read(filesystem: AbstractFileSystem, root: str, name: str, address: str) -> bytes:
-    with _told(address):
-        plain_name(name)
-        if "file" in filesystem.protocol:
-            held(Path(root), Path(root, name))
-    # In a forked process this makes a new connection; in the same one it returns the same object.
-    alive = type(filesystem)(*filesystem.storage_args, **filesystem.storage_options)
-    try:
-        return bytes(alive.cat_file(f"{root}/{name}"))
-    except FileNotFoundError:
-        raise StoreError(f"{address}/{name} is missing: not a dataset, or not finished") from None
-    except Exception as error:  # each backend has its own errors for a lost connection or a refused key
-        raise StoreError(f"{address}/{name} cannot be read: {error or type(error).__name__}") from None

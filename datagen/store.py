@@ -34,6 +34,13 @@ _Record = TypeVar("_Record", SceneRecord, DatasetRecord)
 COMPRESSION = OpenEXR.ZIP_COMPRESSION
 HALF_MAX = 65504.0
 RAW = "raw_"
+ALWAYS = {f"{name}.{c}" for name, channels in (
+    ("combined", "RGB"), ("normal_world", "XYZ"), ("albedo", "RGB"), ("z_depth", "Z"), ("roughness", "Y"),
+    ("metallic", "Y"), ("environment", "A"),
+) for c in channels} | {"instance_id.ID"}  # fmt: skip
+"""Channels that every view has."""
+MOST_RECORD = 1 << 25
+"""Bytes of a record; that of a scene with a hundred views takes a megabyte or two."""
 
 
 @dataclass(frozen=True)
@@ -55,12 +62,7 @@ class ViewData:
 
 def scene_dir(root: Path, index: int) -> Path:
     """Return a scene's folder."""
-    return root / "scenes" / f"{index:06d}"
-
-
-def view_file(view: int) -> str:
-    """Return a view's file name inside its scene's folder."""
-    return f"views/{view:02d}.exr"
+    return root / scene_folder(index)
 
 
 def file_inside(folder: Path, name: str) -> Path:
@@ -78,6 +80,16 @@ def check_links(root: Path) -> None:
             held(root, path)
         except OutsideError as error:
             raise StoreError(f"{error}; remove the link") from None
+
+
+def scene_folder(index: int) -> str:
+    """Return the name of a scene's folder inside its dataset."""
+    return f"scenes/{index:06d}"
+
+
+def scene_number(name: str) -> int | None:
+    """Return the index of the scene whose folder has this name; None where that is no scene's."""
+    return int(name) if re.fullmatch("[0-9]{6,9}", name) and f"{int(name):06d}" == name else None
 
 
 def write_text(path: Path, text: str) -> None:
@@ -102,8 +114,16 @@ def write_view(path: Path, view: ViewData) -> None:
     OpenEXR.File(parts).write(str(path))
 
 
-def read_view(path: Path) -> ViewData:
-    """Read one view back; raises `StoreError` naming the file where it is missing, truncated or foreign."""
+def read_view(path: Path, stated: tuple[SceneRecord, int] | None = None) -> ViewData:
+    """Read one view back; raises `StoreError` naming the file where it is missing, truncated or foreign.
+
+    `stated` are a scene's record and the number of the view, where the file is to be held to them before anything is
+    decoded.
+    """
+    if not path.is_file():
+        raise StoreError(f"{path} is missing")
+    if stated is not None:
+        check_header(path, *stated)
     channels = _read_channels(path)
     groups: dict[str, dict[str, None]] = {}
     for name in channels:
@@ -141,7 +161,10 @@ def read_dataset(root: Path) -> DatasetRecord:
 
 def parse_scene(content: bytes, name: str) -> SceneRecord:
     """Understand the content of a `scene.json`; raises `StoreError` with `name` and the reason."""
-    return _parse(content, name, SceneRecord)
+    record = _parse(content, name, SceneRecord)
+    if fault := next(record.contradictions(), ""):
+        raise StoreError(f"{name} contradicts itself: {fault}")
+    return record
 
 
 def parse_dataset(content: bytes, name: str) -> DatasetRecord:
@@ -154,15 +177,19 @@ def scene_indices(root: Path) -> list[int]:
     folder = root / "scenes"
     if not folder.is_dir():
         return []
-    return sorted(
-        int(p.name)
-        for p in folder.iterdir()
-        if re.fullmatch("[0-9]{6,}", p.name) and not p.is_symlink() and (p / "scene.json").is_file()
-    )
+    found = ((scene_number(p.name), p) for p in folder.iterdir() if not p.is_symlink())
+    return sorted(number for number, p in found if number is not None and (p / "scene.json").is_file())
+
+
+def check_record_size(size: int, name: str) -> None:
+    """Raise `StoreError` where a record is larger than any that was written."""
+    if size > MOST_RECORD:
+        raise StoreError(f"{name} holds {size} bytes, a record at most {MOST_RECORD}; it is not read")
 
 
 def _read_bytes(path: Path) -> bytes:
     try:
+        check_record_size(path.stat().st_size, str(path))
         return path.read_bytes()
     except FileNotFoundError:
         raise StoreError(f"{path} is missing: not a dataset, or not finished") from None
@@ -178,7 +205,8 @@ def _parse(content: bytes, name: str, kind: type[_Record]) -> _Record:
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
-        raise StoreError(f"{name} is damaged or of another version: {key or 'content'}: {first['msg']}") from None
+        told = first["msg"].removeprefix("Value error, ")
+        raise StoreError(f"{name} is damaged or of another version: {key or 'content'}: {told}") from None
 
 
 def as_stored(layers: Float32) -> Float32:
@@ -223,9 +251,44 @@ def _geometry_channels(geometry: GeometryBuffers, coverage: Mapping[str, Float32
     }
 
 
+def check_header(path: Path, record: SceneRecord, number: int) -> None:
+    """Hold a view's file to its scene's record before any pixel is decoded: size, parts and channels.
+
+    Raises `StoreError` naming what differs.
+    """
+    view, header = record.views[number], _header(path)
+    names = record.scene.insertable
+    variants = {"all"} | {f"{action}_{name}" for action in ("without", "foreground") for name in names}
+    layers = {f"{variant}.{light}.{c}" for variant in variants for light in record.rig.names for c in "RGB"}
+    wanted = layers | {f"coverage_{name}.A" for name in names} | ALWAYS
+    found = set(header)
+    if any(RAW + name in found for name in layers):
+        wanted |= {RAW + name for name in layers}
+    if found != wanted:
+        lacks = sorted(wanted - found)
+        told = f"lacks the channel {lacks[0]!r}" if lacks else f"has a channel {min(found - wanted)!r} of nothing there"
+        raise StoreError(f"{path} {told}; damaged, or not the view that scene.json states")
+    if sizes := sorted({size for size in header.values() if size != (view.width, view.height)}):
+        raise StoreError(
+            f"{path} is {sizes[0][0]} x {sizes[0][1]} pixels, scene.json states {view.width} x {view.height}"
+        )
+
+
+def _header(path: Path) -> dict[str, tuple[int, int]]:
+    """Return the width and height of each channel as a file's headers state them."""
+    found: dict[str, tuple[int, int]] = {}
+    try:
+        for part in OpenEXR.File(str(path), header_only=True).parts:
+            low, high = part.header["dataWindow"]
+            width, height = (int(side) for side in np.subtract(high, low, dtype=np.int64) + 1)
+            for channel in part.header["channels"]:
+                found[channel.name] = width // channel.xSampling, height // channel.ySampling
+    except Exception as error:  # the binding raises bare RuntimeError and others for damaged files
+        raise StoreError(f"{path} cannot be decoded (truncated or damaged): {error}") from None
+    return found
+
+
 def _read_channels(path: Path) -> dict[str, NDArray[np.generic]]:
-    if not path.is_file():
-        raise StoreError(f"{path} is missing")
     try:
         parts = OpenEXR.File(str(path), separate_channels=True).parts
         pixels = {name: channel.pixels for part in parts for name, channel in part.channels.items()}

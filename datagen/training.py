@@ -13,9 +13,9 @@ import polars as pl
 from datagen.errors import StoreError
 from datagen.manifest import MANIFEST, parse_manifest, read_manifest, remedy
 from datagen.packed import PackedView, pack_view, read_packed
-from datagen.records import SceneRecord
+from datagen.records import SceneRecord, view_file
 from datagen.source import DatasetSource, open_dataset
-from datagen.store import file_sha256, view_file
+from datagen.store import file_sha256
 from scenes.whole import write_whole
 
 VISIBLE = "visible.parquet"

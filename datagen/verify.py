@@ -1,8 +1,11 @@
-"""Check everything that was written: files, finite values, and the identities that make the data true."""
+"""Check what a scene's views hold: finite values, and the identities that make the data true.
 
-from collections.abc import Iterator
+That all files are there, whole and unchanged, is checked by `datagen.integrity`.
+"""
+
+from collections.abc import Callable, Collection, Iterator
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -14,17 +17,13 @@ from datagen.exposure import BRIGHT, DARK
 from datagen.layers import Float32
 from datagen.records import SceneRecord
 from datagen.residuals import SIDES, residual
-from datagen.source import open_dataset
 from datagen.store import (
     ViewData,
     as_stored,
     file_inside,
     file_sha256,
-    read_dataset,
     read_scene,
     read_view,
-    scene_dir,
-    scene_indices,
 )
 from lights.spec import LightingCondition
 from lights.tonemap import luminance
@@ -42,9 +41,9 @@ FIREFLY = 50.0  # times the brightest neighbour, and brighter than white
 
 @dataclass(frozen=True)
 class Fault:
-    """One thing that is wrong, in the words a user needs."""
+    """One thing that is wrong, in the words a user needs; `scene` is None where it concerns the whole dataset."""
 
-    scene: int
+    scene: int | None
     view: int | None
     check: str
     message: str
@@ -52,6 +51,7 @@ class Fault:
 
 CHECKS = (
     "files",
+    "index",
     "finite",
     "additivity",
     "composite",
@@ -63,25 +63,6 @@ CHECKS = (
 )
 
 
-def verify_dataset(address: str | Path) -> Iterator[tuple[int, list[Fault]]]:
-    """Check every scene of a dataset, one after the other; raises `StoreError` if it is none.
-
-    In a folder these are all finished scenes; at a remote address those of the index, each fetched whole.
-    """
-    if Path(address).is_dir():
-        read_dataset(Path(address))
-        for index in scene_indices(Path(address)):
-            yield index, verify_scene(scene_dir(Path(address), index))
-        return
-    source = open_dataset(address)
-    for index in source.indices:
-        try:
-            with source.local_scene(index) as folder:
-                yield index, verify_scene(folder)
-        except StoreError as error:
-            yield index, [Fault(index, None, "files", str(error))]
-
-
 def verify_scene(folder: Path) -> list[Fault]:
     """Check one scene's folder and return its faults (none: the scene is sound)."""
     try:
@@ -89,22 +70,31 @@ def verify_scene(folder: Path) -> list[Fault]:
     except StoreError as error:
         index = int(folder.name) if folder.name.isdigit() else -1
         return [Fault(index, None, "files", str(error))]
+    return verify_views(record, lambda name: nullcontext(file_inside(folder, name)))
+
+
+Lend = Callable[[str], AbstractContextManager[Path]]
+"""Lends a file of a scene's folder by its name there."""
+
+
+def verify_views(record: SceneRecord, lend: Lend, *, left_out: Collection[int] = ()) -> list[Fault]:
+    """Check the hashes and contents of a scene's views, but for those that are known to be missing or cut."""
     faults: list[Fault] = []
-    views: list[ViewData | None] = []
+    before: ViewData | None = None
     for number, stated in enumerate(record.views):
-        try:
-            path = file_inside(folder, stated.file)
-            view = read_view(path)
-            if file_sha256(path) != stated.file_sha256:
-                raise StoreError(f"{path}: content differs from the hash in scene.json")
-            faults += verify_view(record, number, view)
-            views.append(view)
-        except StoreError as error:
-            faults.append(Fault(record.index, number, "files", str(error)))
-            views.append(None)
-    for (a, view_a), (b, view_b) in pairwise(enumerate(views)):
-        if view_a is not None and view_b is not None:
-            faults += verify_pair(record, (a, view_a), (b, view_b))
+        view: ViewData | None = None
+        if number not in left_out:
+            try:
+                with lend(stated.file) as path:
+                    if file_sha256(path) != stated.file_sha256:
+                        raise StoreError(f"{stated.file} was changed: its hash is not the one in scene.json")
+                    view = read_view(path, (record, number))
+                faults += verify_view(record, number, view)
+            except (StoreError, OSError) as error:
+                faults.append(Fault(record.index, number, "files", str(error)))
+        if before is not None and view is not None:
+            faults += verify_pair(record, (number - 1, before), (number, view))
+        before = view
     return faults
 
 

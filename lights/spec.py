@@ -129,9 +129,13 @@ class LightRig(Frozen):
         return tuple(light.name for light in self.lights)
 
 
+Gain = Annotated[float, Field(ge=0, le=1e9)]
+"""What a light is multiplied by; with the largest exposure and radiance still a float32."""
+
+
 class LightingCondition(Frozen):
     """A linear RGB gain for each light by name (absent: off), and an exposure in EV (`gain = 2**ev`)."""
 
     name: Slug
-    gains: dict[str, Rgb]
-    exposure_ev: float = 0.0
+    gains: dict[str, tuple[Gain, Gain, Gain]]
+    exposure_ev: Annotated[float, Field(ge=-64, le=64)] = 0.0

@@ -1,6 +1,7 @@
 """Broken, truncated and foreign datasets: an error that names file and reason, or a scene skipped and counted."""
 
 import contextlib
+import json
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 from datagen.cli import main
 from datagen.errors import StoreError
 from datagen.source import open_dataset
+from tests.chain import rewrite_json
 from tests.servers import in_memory
 
 
@@ -55,17 +57,24 @@ FATAL: dict[str, Damage] = {
     "missing dataset.json": ("dataset.json", Path.unlink, "not a dataset"),
     "other schema": (
         "dataset.json",
-        lambda path: path.write_text(path.read_text().replace('"schema_version": 2', '"schema_version": 99')),
+        lambda path: path.write_text(path.read_text().replace('"schema_version": 3', '"schema_version": 99')),
         "schema version 99",
     ),
-    "truncated index": ("index.parquet", truncate, "cannot be read"),
-    "text as index": ("index.parquet", lambda path: path.write_bytes(b"nonsense"), "cannot be read"),
-    "empty index": ("index.parquet", lambda path: path.write_bytes(b""), "cannot be read"),
-    "foreign index": (
-        "index.parquet",
-        lambda path: pl.DataFrame({"name": ["a"]}).write_parquet(path),
-        "cannot be read",
+    "changed dataset.json": (
+        "dataset.json",
+        lambda path: path.write_text(path.read_text().replace('"seed": 0', '"seed": 1')),
+        "it was changed",
     ),
+}
+INDICES: dict[str, Callable[[Path], object]] = {
+    "truncated": truncate,
+    "text": lambda path: path.write_bytes(b"nonsense"),
+    "empty": lambda path: path.write_bytes(b""),
+    "foreign": lambda path: pl.DataFrame({"name": ["a"]}).write_parquet(path),
+    "missing": Path.unlink,
+    "a row less": lambda path: pl.read_parquet(path).head(1).write_parquet(path),
+    "a row twice": lambda path: pl.concat([pl.read_parquet(path)] * 2).write_parquet(path),
+    "a wrong row": lambda path: pl.read_parquet(path).with_columns(views=pl.lit(7, pl.Int64)).write_parquet(path),
 }
 
 
@@ -110,6 +119,23 @@ def test_damage_to_the_whole_is_named(name: str, where: str, spheres_copy: Path)
         assert f"{address}/{file}" in str(caught.value)
 
 
+@pytest.mark.parametrize("where", ["folder", "memory"])
+@pytest.mark.parametrize("name", INDICES)
+def test_a_wrong_index_is_made_up_and_told(
+    name: str, where: str, spheres_copy: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = open_dataset(spheres_copy).table
+    INDICES[name](spheres_copy / "index.parquet")
+    with placed(where, spheres_copy) as address:
+        assert open_dataset(address).table.equals(before)
+        told = capsys.readouterr().err
+        assert told.count("\n") == 1
+        assert f"{address}/index.parquet" in told
+        assert f"multilight dataset --out {address} --repair" in told
+        assert main(["query", address, "views = 3", "--json"]) == 0
+        assert len(json.loads(capsys.readouterr().out)) == 2
+
+
 def test_a_foreign_folder_is_no_dataset(tmp_path: Path) -> None:
     (tmp_path / "cat.png").write_bytes(b"")
     with pytest.raises(StoreError, match=r"dataset\.json is missing: not a dataset"):
@@ -120,7 +146,7 @@ def test_a_foreign_folder_is_no_dataset(tmp_path: Path) -> None:
 def test_an_unfinished_dataset_is_read_from_its_scenes(where: str, spheres_copy: Path) -> None:
     finished = open_dataset(spheres_copy).table
     (spheres_copy / "index.parquet").unlink()
-    (spheres_copy / "scenes" / "000002").mkdir()
+    rewrite_json(spheres_copy / "dataset.json", lambda record: record.update(index_sha256="", index_rows=0, assets=[]))
     with placed(where, spheres_copy) as address:
         assert open_dataset(address).table.equals(finished)
         truncate(spheres_copy / "scenes/000001/scene.json")

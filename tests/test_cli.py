@@ -11,9 +11,9 @@ from PIL import Image
 
 from datagen import compose
 from datagen.cli import main
-from datagen.records import SceneRecord
+from datagen.records import SceneRecord, view_file
 from datagen.sheet import telling_view
-from datagen.store import ViewData, view_file
+from datagen.store import ViewData
 from tests.conftest import SPHERES
 
 COMMANDS = ("dataset", "scene", "verify", "mix", "sheet", "stats", "query", "export", "config", "assets", "doctor")

@@ -249,8 +249,11 @@ def test_full_disk_is_said_and_finished_scenes_stay(small_disk: Path) -> None:
         assert "Traceback" not in done.stderr
         assert scene_indices(root)
         assert not (root / "work").exists() or not list((root / "work").rglob("*.exr"))
-        check = subprocess.run([sys.executable, "-m", "datagen", "verify", str(root)], capture_output=True)
-        assert check.returncode == 0
+        check = subprocess.run([sys.executable, "-m", "datagen", "verify", "--json", str(root)], capture_output=True)
+        assert check.returncode == 1
+        found = json.loads(check.stdout)["faults"]
+        told = f"{len(scene_indices(root))} of 40 scenes are there"
+        assert [fault["message"].startswith(told) for fault in found if fault["check"] != "index"] == [True]
     finally:
         subprocess.run(["umount", "-l", str(small_disk)], check=True)
 
@@ -261,7 +264,7 @@ def test_continuing_with_mitsubas_scalar_variant_is_refused(tmp_path: Path, caps
     here = choose_variant().variant
     other = "llvm_ad_rgb" if here == "scalar_rgb" else "scalar_rgb"
     root.mkdir()
-    (root / "dataset.json").write_text(record.model_copy(update={"variant": other}).model_dump_json())
+    (root / "dataset.json").write_text(record.model_copy(update={"variant": other}).sealed().model_dump_json())
     assert run("dataset", "--out", root, "--renderer", "mitsuba", "--scenes", 4) == 1
     errors = capsys.readouterr().err
     assert other in errors

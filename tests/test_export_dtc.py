@@ -19,6 +19,7 @@ from datagen.source import open_dataset
 from datagen.store import ViewData, read_scene, read_view, scene_dir
 from lights.reinhard import Metering, join, meter_view, tone_map
 from scenes.cameras import camera_from_fov, look_at, project, unproject
+from tests.chain import chain, rewrite_json
 
 SIZE, MAP, CONDITIONS, EXPOSURES = 48, 32, 3, 2
 OPTIONS = ["--size", str(SIZE), "--map-size", str(MAP), "--conditions", str(CONDITIONS)]
@@ -42,7 +43,8 @@ def dataset(spheres_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> 
     """Two scenes, the second held out of training."""
     root = Path(shutil.copytree(spheres_dataset, tmp_path_factory.mktemp("dtc") / "dataset"))
     path = scene_dir(root, 1) / "scene.json"
-    path.write_text(read_scene(path.parent).model_copy(update={"split": "test"}).model_dump_json())
+    rewrite_json(path, lambda record: record.update(split="test"))
+    chain(root)
     return root
 
 

@@ -19,6 +19,7 @@ from scenes.assets.gltf import LIGHTS_KEY
 from scenes.assets.imported import FoundLight
 from scenes.assets.info import AssetError
 from scenes.inside import OutsideError, held, inside, plain_name
+from tests.chain import rewrite_json
 from tests.servers import http_server, in_memory, s3_server
 
 HOSTILE = {
@@ -84,9 +85,7 @@ def test_beside_a_file_parents_may_be_named_within_the_folder(tmp_path: Path) ->
 def hostile(request: pytest.FixtureRequest, spheres_copy: Path, hostile_name: str) -> Iterator[tuple[Path, str]]:
     """A dataset at an address of each kind, whose first record names the file in `hostile_name` as its first view."""
     path = spheres_copy / "scenes" / "000000" / "scene.json"
-    record = json.loads(path.read_text())
-    record["views"][0]["file"] = hostile_name
-    path.write_text(json.dumps(record))
+    rewrite_json(path, lambda record: record["views"][0].update(file=hostile_name))
     match request.param:
         case "folder":
             yield spheres_copy, str(spheres_copy)

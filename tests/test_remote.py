@@ -17,6 +17,7 @@ from datagen.cli import main
 from datagen.errors import StoreError, UserError
 from datagen.source import DatasetSource, open_dataset
 from datagen.store import ViewData
+from tests.chain import rewrite_json
 from tests.servers import http_server, in_memory, s3_server
 
 
@@ -93,8 +94,7 @@ def test_the_cache_does_not_mix_datasets_up(spheres_copy: Path, tmp_path: Path) 
     with http_server(spheres_copy) as (address, asked):
         first = open_dataset(address, cache=cache)
         first.view(first.scene(0), 0)
-        path = spheres_copy / "dataset.json"
-        path.write_text(path.read_text().replace('"seed": 0', '"seed": 5'))
+        rewrite_json(spheres_copy / "dataset.json", lambda record: record["config"].update(seed=5))
         second = open_dataset(address, cache=cache)
         assert second.record.config.seed == 5
         second.view(second.scene(0), 0)

@@ -221,7 +221,7 @@ def test_stats_says_what_it_needs(words: list[str], tmp_path: Path, capsys: pyte
     assert main(["stats", *(str(tmp_path) if word == "DIR" else word for word in words)]) == 1
     line = capsys.readouterr().err
     assert line.count("\n") == 1
-    assert "stats DIR" in line or "--sample 0" in line or "no finished scene" in line
+    assert "stats DIR" in line or "--sample 0" in line or "not a dataset" in line
 
 
 def test_samples_are_those_of_the_dataset(spheres_dataset: Path) -> None:

@@ -9,6 +9,7 @@ import pytest
 from datagen.errors import StoreError
 from datagen.records import SceneRecord
 from datagen.store import ViewData, read_dataset, read_scene, read_view, scene_dir, write_view
+from tests.chain import rewrite_json
 
 
 def all_channels(path: Path) -> dict[str, np.ndarray]:
@@ -108,7 +109,7 @@ def test_foreign_exr_is_refused(tmp_path: Path) -> None:
     ("old", "new", "expected"),
     [
         ('"index": 0', '"index": -1', "damaged"),
-        ('"schema_version": 2', '"schema_version": 99', "schema version 99"),
+        ('"schema_version": 3', '"schema_version": 99', "schema version 99"),
         ('"radius"', '"radios"', "damaged"),
     ],
 )
@@ -127,6 +128,9 @@ def test_scene_record_with_changed_content_fails_its_hash(spheres_copy: Path) ->
     changed = re.sub(r'("radius": )([0-9.]+)', lambda m: f"{m[1]}{float(m[2]) * 1.5}", text, count=1)
     assert changed != text
     path.write_text(changed)
+    with pytest.raises(StoreError, match="record_sha256"):
+        read_scene(path.parent)
+    rewrite_json(path, lambda _: None)
     with pytest.raises(StoreError, match="scene_sha256"):
         read_scene(path.parent)
 

@@ -10,9 +10,11 @@ import pytest
 
 from datagen.cli import main
 from datagen.exposure import DARK, LIFTED_BRIGHT, LIFTED_DARK, meter_condition
+from datagen.integrity import verify_dataset
 from datagen.layers import Float32
-from datagen.store import ViewData, file_sha256, read_scene, read_view, scene_dir, view_file, write_text, write_view
-from datagen.verify import verify_dataset, verify_scene
+from datagen.records import view_file
+from datagen.store import ViewData, file_sha256, read_scene, read_view, scene_dir, write_text, write_view
+from datagen.verify import verify_scene
 from lights.spec import LightingCondition
 from lights.tonemap import luminance
 
@@ -20,7 +22,7 @@ Damage = Callable[[ViewData, str], ViewData]
 
 
 def test_a_sound_dataset_has_no_fault(spheres_dataset: Path) -> None:
-    assert [faults for _, faults in verify_dataset(spheres_dataset)] == [[], []]
+    assert [found for _, found in verify_dataset(str(spheres_dataset)).results] == [[], [], []]
 
 
 def rewrite(folder: Path, damage: Damage, *, view: int = 1) -> None:
@@ -30,7 +32,7 @@ def rewrite(folder: Path, damage: Damage, *, view: int = 1) -> None:
     write_view(path, damage(read_view(path), record.scene.insertable[0]))
     views = list(record.views)
     views[view] = views[view].model_copy(update={"file_sha256": file_sha256(path)})
-    write_text(folder / "scene.json", record.model_copy(update={"views": tuple(views)}).model_dump_json())
+    write_text(folder / "scene.json", record.model_copy(update={"views": tuple(views)}).sealed().model_dump_json())
 
 
 def changed_variant(view: ViewData, variant: str, change: Callable[[np.ndarray], np.ndarray]) -> ViewData:

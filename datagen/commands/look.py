@@ -15,7 +15,9 @@ if TYPE_CHECKING:
 
 @dataclass
 class Verify:
-    """Check everything that was written: files, values and identities; exit code 1 on any fault.
+    """Check that a dataset is whole and unchanged, and what its pictures hold; exit code 1 on any fault.
+
+    Finds what is missing, changed, too much or under another's name, in the index and dataset.json as well.
 
     Packed copies and exports, which have a manifest.json, are checked by it: every file is there, no other, unchanged.
     """
@@ -25,21 +27,21 @@ class Verify:
     json: bool = False
     """Print JSON instead of a table."""
     quick: bool = False
-    """Look at names and sizes only (so far of packed copies and exports)."""
+    """Look at names, sizes, records and the index, not at what the files hold."""
     source: str | None = None
     """Folder or address of a dataset: say as well what of a packed copy or export is not as that dataset is now."""
 
     def run(self) -> int:
         """Verify and return the exit code."""
+        from datagen.integrity import verify_dataset
         from datagen.report import print_verification
-        from datagen.verify import verify_dataset
         from datagen.verify_copy import copy_at, print_copy_verification
 
         if (copy := copy_at(self.dir)) is not None:
             return print_copy_verification(copy, quick=self.quick, source=self.source, as_json=self.json)
         if self.source is not None:
             raise UserError(f"--source goes with a packed copy or an export, and {self.dir} is neither")
-        return print_verification(self.dir, verify_dataset(self.dir), as_json=self.json)
+        return print_verification(self.dir, verify_dataset(self.dir, quick=self.quick), as_json=self.json)
 
 
 @dataclass

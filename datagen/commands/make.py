@@ -1,16 +1,20 @@
 """Commands that make scenes: `dataset`, `scene`."""
 
+import contextlib
 import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from datagen.errors import UserError
+from datagen.errors import StoreError, UserError
 from datagen.presets import Preset
 from datagen.text import plain
+
+if TYPE_CHECKING:
+    from datagen.config import DatasetConfig
 
 Kind = Literal["tabletop", "room", "outdoor", "studio", "custom", "spheres", "imported", "mixed"]
 Renderer = Literal["auto", "mitsuba", "cycles", "analytic"]
@@ -54,22 +58,38 @@ class _Options:
         keys = ("seed", "kind", "background", "renderer", "width", "height", "views", "spp", "denoise")
         return {key: getattr(self, key) for key in keys} | {"keep_raw": self.keep_raw or None}
 
+    def configuration(self, *, scenes: int | None) -> "DatasetConfig":
+        """Return what to make: what is given, over the dataset's own settings where it is there, else the defaults."""
+        from datagen.config import load_config
+        from datagen.store import read_dataset
+
+        values, below = self.values() | {"scenes": scenes}, {}
+        if (self.out / "dataset.json").exists():
+            with contextlib.suppress(StoreError):  # damaged: told where it is continued
+                record = read_dataset(self.out)
+                below = record.config.model_dump(exclude={"renderer"}) | {"renderer": record.renderer}
+        return load_config(self.config, values, self.preset, below)
+
 
 @dataclass(kw_only=True)
 class Dataset(_Options):
-    """Make a dataset, or continue one: finished scenes are kept."""
+    """Make a dataset, or continue one: finished scenes are kept, damaged ones made anew.
+
+    Settings that are not given are those of the dataset where it is there already.
+    """
 
     scenes: int | None = None
     """Number of scenes (default 4)."""
     workers: int | None = None
     """Worker processes (default: one a core)."""
+    repair: bool = False
+    """Look at the contents of all that is there too, not at names and sizes only, and make anew what is damaged."""
 
     def run(self) -> int:
         """Make what is missing and return the exit code."""
-        from datagen.config import load_config
-
-        config = load_config(self.config, self.values() | {"scenes": self.scenes}, self.preset)
-        return make_scenes(self.out, config, tuple(range(config.scenes)), workers=self.workers, assets=self.assets)
+        config = self.configuration(scenes=self.scenes)
+        indices = tuple(range(config.scenes))
+        return make_scenes(self.out, config, indices, workers=self.workers, assets=self.assets, repair=self.repair)
 
 
 @dataclass(kw_only=True)
@@ -81,35 +101,39 @@ class Scene(_Options):
 
     def run(self) -> int:
         """Make the scene and return the exit code."""
-        from datagen.config import load_config
-
         if self.index < 0:
             raise UserError(f"--index {self.index} must be 0 or more")
-        config = load_config(self.config, self.values() | {"scenes": self.index + 1}, self.preset)
+        config = self.configuration(scenes=self.index + 1)
         return make_scenes(self.out, config, (self.index,), workers=1, assets=self.assets)
 
 
 def make_scenes(
-    out: Path, config: object, indices: tuple[int, ...], *, workers: int | None, assets: tuple[Path, ...]
+    out: Path,
+    config: "DatasetConfig",
+    indices: tuple[int, ...],
+    *,
+    workers: int | None,
+    assets: tuple[Path, ...],
+    repair: bool = False,
 ) -> int:
-    """Make what is missing of these scenes of a dataset, say how it went, and return the exit code."""
-    from datagen.config import DatasetConfig
+    """Make what is missing or damaged of these scenes of a dataset, say how it went, and return the exit code."""
     from datagen.dataset import Plan, default_workers, make_dataset
     from datagen.doctor import slow_note
     from datagen.report import progress
 
-    assert isinstance(config, DatasetConfig)
     if workers is not None and workers < 1:
         raise UserError(f"--workers {workers} must be 1 or more")
     if note := slow_note(config.renderer):
         print(note, file=sys.stderr)
-    plan = Plan(out, config, indices, workers or default_workers(len(indices)), assets)
+    plan = Plan(out, config, indices, workers or default_workers(len(indices)), assets, repair)
     with progress("views") as report:
         outcome = make_dataset(plan, report)
     if outcome.broken:
         print(f"passed over {len(outcome.broken)} broken assets:", file=sys.stderr)
     for asset, reason in sorted(outcome.broken.items()):
         print(plain(f"  {asset}: {reason}"), file=sys.stderr)
+    for index in outcome.changed:
+        print(f"scene {index} is not what it was: assets or versions are others now", file=sys.stderr)
     for index, reason in outcome.failures.items():
         print(plain(f"failed: scene {index}: {reason}"), file=sys.stderr)
     if spent := sum(outcome.seconds.values()):

@@ -12,11 +12,12 @@ from PIL import Image
 from datagen.config import DatasetConfig
 from datagen.errors import UserError
 from datagen.produce import sample_scene
+from datagen.source import open_dataset
 from datagen.stats.duplicates import Bits, Pair, alike_in_content, alike_in_picture, picture_hash
 from datagen.stats.facts import SceneFacts, scene_facts
 from datagen.stats.pictures import picture_values
 from datagen.stats.quantities import QUANTITIES, Coverage, Quantity, Value, coverage_of
-from datagen.store import file_inside, read_scene, scene_dir, scene_indices
+from datagen.store import file_inside, scene_dir
 from scenes.assets.library import AssetLibrary
 from scenes.splits import SPLITS, Split
 from scenes.streams import Streams
@@ -68,17 +69,17 @@ def quantiles(values: list[Value]) -> dict[str, float]:
 
 def measure_dataset(root: Path, library: AssetLibrary, report: Report) -> Summary:
     """Measure every finished scene of a dataset; raises `UserError` where there is none."""
-    indices = scene_indices(root)
-    if not indices:
+    source = open_dataset(root)
+    if not source.indices:
         raise UserError(f"{root} holds no finished scene; make some with: multilight dataset --out {root}")
     facts, hashes = [], []
-    for number, index in enumerate(indices):
-        record = read_scene(scene_dir(root, index))
+    for number, index in enumerate(source.indices):
+        record = source.scene(index)
         found = scene_facts(record.scene, record.rig, record.split, library)
         facts.append(replace(found, values=found.values | picture_values(scene_dir(root, index), record)))
         with Image.open(file_inside(scene_dir(root, index), "preview.png")) as preview:
             hashes.append(picture_hash(preview))
-        report(number + 1, len(indices))
+        report(number + 1, len(source.indices))
     return summarize(f"{root.name}: {len(facts)} scenes", facts, hashes)
 
 

@@ -20,7 +20,7 @@ def picture_values(folder: Path, record: SceneRecord) -> Values:
         preview = np.asarray(image.convert("RGB"), np.float64)
     tiles = np.array_split(preview, min(4, len(record.views)), axis=1)
     ends = sorted({0, len(record.views) - 1})
-    targets = (read_view(file_inside(folder, record.views[view].file)).combined for view in ends)
+    targets = (read_view(file_inside(folder, record.views[view].file), (record, view)).combined for view in ends)
     return {
         "luminance": [float(luminance(tile / 255.0).mean()) for tile in tiles],
         "colourfulness": [colourfulness(tile) for tile in tiles],

@@ -101,6 +101,11 @@ class AssetLibrary:
         if self.background is not None:
             self._packs[self.background.name] = self.background
 
+    @property
+    def packs(self) -> tuple[str, ...]:
+        """The names of the packs that are used."""
+        return tuple(self._packs)
+
     @cached_property
     def _infos(self) -> dict[str, AssetInfo]:
         infos = (info for pack in self._packs.values() for info in pack.infos())
