@@ -144,7 +144,7 @@ def _open_record(plan: Plan, renderer: RendererName) -> DatasetRecord:
     """Write `dataset.json`, or check that what is there was made with the same configuration and renderer."""
     path = plan.root / "dataset.json"
     variant = choose_variant().variant if renderer == "mitsuba" else ""
-    if not path.exists():
+    if not path.exists() and not scene_indices(plan.root):
         if any(not p.name.startswith(".") for p in plan.root.iterdir()):
             raise UserError(f"output folder {plan.root} holds other files and no dataset; choose an empty --out")
         return _new_record(plan, renderer, variant)

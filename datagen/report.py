@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from datagen.integrity import Result, Verification
+from datagen.integrity import ANEW, Result, Verification
 from datagen.source import repair_command
 from datagen.text import plain, terminal
 from datagen.verify import CHECKS
@@ -77,7 +77,7 @@ def print_verification(root: str, verification: Verification, *, as_json: bool) 
         print(plain(f"{where}: {fault.check}: {fault.message}"))
     if not scenes:
         print(f"{root}: no finished scene")
-    elif faults and Path(root).is_dir():
+    elif faults and Path(root).is_dir() and not any(ANEW in fault.message for fault in faults):
         print(f"what is damaged is made anew by: {repair_command(root)}")
     return 1 if faults or not scenes else 0
 
