@@ -23,7 +23,7 @@ from datagen.finishing import finish, survey
 from datagen.integrity import ANEW
 from datagen.locks import locked
 from datagen.records import GHOSTS, DatasetRecord
-from datagen.store import read_dataset, read_scene, scene_dir, scene_indices, write_text
+from datagen.store import COPIES, read_dataset, read_scene, scene_dir, scene_indices, write_text
 from datagen.worker import WorkerSetup, log_path, run_scene
 from scenes.assets.library import AssetError, AssetLibrary
 
@@ -34,8 +34,6 @@ VERSIONS = ("multilight", "bpy", "mitsuba", "drjit", "mitsuba-oidn", "OpenEXR", 
 
 
 SCALAR = "scalar_rgb"
-COPIED = ("visible.parquet", "manifest.json")
-"""Files that only packed copies and exports have."""
 
 
 @dataclass(frozen=True)
@@ -93,8 +91,10 @@ def make_dataset(plan: Plan, report: Report) -> Outcome:
     check_background(plan.config)
     with locked(plan.root), full_disk_told(plan.root):
         record = _open_record(plan, renderer)
-        for leftover in ("work", "logs"):
-            shutil.rmtree(plan.root / leftover, ignore_errors=True)
+        for name in ("work", "logs"):
+            shutil.rmtree(plan.root / name, ignore_errors=True)
+        for leftover in plan.root.glob(".*.tmp*"):
+            leftover.unlink()
         there = survey(plan.root, record, contents=plan.repair)
         wanted = sorted({*plan.indices, *there.damaged})
         missing = tuple(i for i in wanted if i not in there.rows)
@@ -148,7 +148,7 @@ def _open_record(plan: Plan, renderer: RendererName) -> DatasetRecord:
         if any(not p.name.startswith(".") for p in plan.root.iterdir()):
             raise UserError(f"output folder {plan.root} holds other files and no dataset; choose an empty --out")
         return _new_record(plan, renderer, variant)
-    if any((plan.root / name).exists() for name in COPIED):
+    if any((plan.root / name).exists() for name in COPIES):
         raise UserError(f"{plan.root} is a packed copy or an export; the command that made it makes it anew")
     try:
         record = read_dataset(plan.root)

@@ -25,7 +25,16 @@ from datagen.errors import StoreError, UserError
 from datagen.index import index_table, parse_index
 from datagen.place import Place, find_place, outside_told
 from datagen.records import GHOSTS, DatasetRecord, SceneRecord
-from datagen.store import MOST_RECORD, ViewData, parse_dataset, parse_scene, read_view, scene_folder, scene_number
+from datagen.store import (
+    COPIES,
+    MOST_RECORD,
+    ViewData,
+    parse_dataset,
+    parse_scene,
+    read_view,
+    scene_folder,
+    scene_number,
+)
 from scenes.inside import inside
 from scenes.whole import write_whole
 
@@ -166,7 +175,7 @@ class DatasetSource:
         try:
             yield
         except StoreError as error:
-            if not self.is_local or Path(self.root, "manifest.json").exists():
+            if not self.is_local or any(Path(self.root, name).exists() for name in COPIES):
                 raise
             raise StoreError(f"{error}; made anew by: {repair_command(self.address)}") from None
 

@@ -39,6 +39,8 @@ ALWAYS = {f"{name}.{c}" for name, channels in (
     ("metallic", "Y"), ("environment", "A"),
 ) for c in channels} | {"instance_id.ID"}  # fmt: skip
 """Channels that every view has."""
+COPIES = ("visible.parquet", "manifest.json")
+"""Files that only packed copies and exports of a dataset have."""
 MOST_RECORD = 1 << 25
 """Bytes of a record; that of a scene with a hundred views takes a megabyte or two."""
 
@@ -75,7 +77,7 @@ def file_inside(folder: Path, name: str) -> Path:
 
 def check_links(root: Path) -> None:
     """Raise `StoreError` where something in a dataset's folder is a link that leads out of it, so writing would too."""
-    for path in (*root.iterdir(), *root.glob("scenes/*")):
+    for path in (p for p in (*root.iterdir(), *root.glob("scenes/*")) if p.is_symlink()):
         try:
             held(root, path)
         except OutsideError as error:

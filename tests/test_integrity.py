@@ -244,7 +244,6 @@ def test_a_quick_look_takes_milliseconds_a_scene(spheres_dataset: Path) -> None:
     assert (time.process_time() - start) / 10 < 0.05
 
 
-@pytest.mark.usefixtures("in_one_process")
 @pytest.mark.parametrize("kind", ["record cut", "views missing", "scenes swapped", "view cut"])
 def test_scenes_after_a_broken_one_are_checked(spheres_copy: Path, kind: str) -> None:
     QUICK[kind][0](spheres_copy)
@@ -408,6 +407,38 @@ def test_a_kill_after_the_last_scene(spheres_dataset: Path, tmp_path: Path, dela
     assert open_dataset(root).indices == (0, 1)
     assert run("dataset", "--out", root) == 0
     assert contents(root) == contents(spheres_dataset)
+
+
+@pytest.mark.usefixtures("in_one_process")
+def test_a_scene_that_comes_out_otherwise_is_told(spheres_copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rewrite_json(spheres_copy / S1 / "scene.json", lambda record: record.update(attempt=2))
+    chain(spheres_copy)
+    assert told(spheres_copy) == []
+    os.truncate(spheres_copy / S1 / "views/01.exr", 1000)
+    assert run("dataset", "--out", spheres_copy) == 0
+    assert "scene 1 is not what it was" in capsys.readouterr().err
+    assert told(spheres_copy) == []
+
+
+@pytest.mark.usefixtures("in_one_process")
+def test_other_makers_are_told(spheres_copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Scenes that are drawn from other packs, or made by other versions, would come out otherwise."""
+
+    def by_others(record: Json) -> None:
+        record["versions"]["numpy"] = "0.1"
+
+    rewrite_json(spheres_copy / "dataset.json", by_others)
+    os.truncate(spheres_copy / S1 / "views/01.exr", 1000)
+    assert run("dataset", "--out", spheres_copy) == 0
+    error = capsys.readouterr().err
+    assert "was made with numpy 0.1, now" in error
+    assert "scene 1 is damaged and made anew: views/01.exr is truncated" in error
+    rewrite_json(spheres_copy / "dataset.json", lambda record: record.update(assets=[CREDIT]))
+    os.truncate(spheres_copy / S1 / "views/01.exr", 1000)
+    assert run("dataset", "--out", spheres_copy) == 1
+    error = capsys.readouterr().err
+    assert "with the pack 'a', which is not there" in error
+    assert "--assets" in error
 
 
 def test_a_packed_copy_is_not_continued(spheres_dataset: Path, tmp_path: Path) -> None:
