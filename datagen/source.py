@@ -35,6 +35,7 @@ from datagen.store import (
     scene_folder,
     scene_number,
 )
+from datagen.text import plain
 from scenes.inside import inside
 from scenes.whole import write_whole
 
@@ -273,7 +274,7 @@ def _index_of(source: DatasetSource) -> pl.DataFrame:
 def _tell(message: str) -> None:
     """Say something once, however many processes open the dataset."""
     if multiprocessing.parent_process() is None:
-        print(message, file=sys.stderr)
+        print(plain(message), file=sys.stderr)
 
 
 def _readable(source: DatasetSource, indices: Iterable[int]) -> Iterator[SceneRecord]:

@@ -22,6 +22,7 @@ from datagen.store import ViewData, read_scene, read_view, scene_dir, write_view
 from datagen.training import open_training, packed_file
 from lights.tonemap import luminance
 from model.data import MultiLightDataset, SampleSettings
+from tests.chain import chain
 
 
 def pack(native: Path, out: Path) -> Path:
@@ -121,7 +122,8 @@ def test_a_damaged_dataset_is_not_packed(spheres_copy: Path, tmp_path: Path) -> 
     views = [
         v.model_copy(update={"bytes": path.stat().st_size}) if v.file == "views/01.exr" else v for v in record.views
     ]
-    (folder / "scene.json").write_text(record.model_copy(update={"views": tuple(views)}).model_dump_json())
+    (folder / "scene.json").write_text(record.model_copy(update={"views": tuple(views)}).sealed().model_dump_json())
+    chain(spheres_copy)
     with pytest.raises(StoreError, match=r"scenes/000001/views/01.exr: all holds NaN.*multilight verify"):
         pack(spheres_copy, tmp_path / "copy")
     assert not (tmp_path / "copy" / "manifest.json").exists()
