@@ -159,8 +159,6 @@ class SceneRecord(Schema):
         names = set(self.rig.names)
         if not self.conditions or not self.views:
             yield f"it has {len(self.conditions)} conditions and {len(self.views)} views"
-        if self.scene.index != self.index:
-            yield f"it is of scene {self.index}, its content of scene {self.scene.index}"
         for condition in self.conditions:
             if unknown := sorted(set(condition.gains) - names):
                 yield f"condition {condition.name} names the light {unknown[0]!r}, the rig has {list(self.rig.names)}"

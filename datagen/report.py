@@ -78,7 +78,7 @@ def print_verification(root: str, verification: Verification, *, as_json: bool) 
     if not scenes:
         print(f"{root}: no finished scene")
     elif faults and Path(root).is_dir() and not any(ANEW in fault.message for fault in faults):
-        print(f"what is damaged is made anew by: {repair_command(root)}")
+        print(plain(f"what is damaged is made anew by: {repair_command(root)}"))
     return 1 if faults or not scenes else 0
 
 

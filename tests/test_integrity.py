@@ -513,7 +513,7 @@ WRONG: dict[str, tuple[Callable[[Json], object], str]] = {
     "another K": (lambda r: r["views"][1]["K"][0].__setitem__(0, 1.0), "view 1 states another K or c2w"),
     "another c2w": (lambda r: r["views"][1]["c2w"][0].__setitem__(3, 9.0), "view 1 states another K or c2w"),
     "energy of no light": (lambda r: r["views"][0]["energy"]["all"].clear(), "view 0 states the energy of other"),
-    "another index inside": (lambda r: r.update(index=1), "is the record of scene 1|its content of scene 0"),
+    "another index inside": (lambda r: r.update(index=1), "is the record of scene 1"),
     "NaN": (lambda r: r["views"][0].update(additivity=float("nan")), "damaged"),
     "a name of two words": (lambda r: r["rig"]["lights"][0].update(name="../sun"), r"rig\.lights\.0"),
 }  # fmt: skip
