@@ -1,0 +1,261 @@
+"""What an object leaves in backgrounds from which it was removed, beside scenes rendered without it from the start.
+
+1. Ghosts: of the object's contrast, how much is left in blocks of 8x8 pixels inside its silhouette, in any layer,
+   against converged renders. Layers with a block in which more than half is left are named.
+2. Inside silhouettes and in a ring round them: error, error of colour and gradient energy against converged renders, as
+   ratios of the background from which the object was removed to the one that never had it. At 1 nothing tells.
+3. A small convolutional network is trained to find silhouettes in backgrounds, once in either kind, and tested on
+   scenes that it has not seen (area under the ROC curve). What it finds in backgrounds that never had the object is
+   where objects use to stand.
+
+    python -m benchmarks.traces --preset mixed --scenes 24
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+import tyro
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
+from scipy.stats import rankdata
+from torch import nn
+
+from datagen.backends import Backend, RenderJob, RenderSettings, open_backend, resolve_renderer
+from datagen.config import load_config
+from datagen.denoise import denoise_all, denoise_without
+from datagen.layers import Float32, LayerStack
+from datagen.presets import Preset
+from datagen.produce import contact_faults, sample_scene
+from datagen.residuals import Mask
+from datagen.views import shown_in
+from lights.spec import EmissiveLight, LightRig
+from scenes.assets.library import AssetLibrary
+from scenes.spec import SceneSpec
+from scenes.streams import Streams
+
+SIDE = 8
+LEAST = 60  # pixels of a silhouette that is looked at
+CONTRAST = 0.2  # of the local radiance: blocks in which the object differs less tell nothing
+
+
+@dataclass
+class Options:
+    """What to measure."""
+
+    preset: Preset = "mixed"
+    seed: int = 55
+    scenes: int = 12
+    size: int = 128
+    renderer: str = "auto"
+    spp: int = 16
+    converged_spp: int = 512
+    """Samples of the converged renders (0: none, only the network)."""
+    steps: int = 300
+    """Steps of the network's training (0: none)."""
+
+
+@dataclass(frozen=True)
+class Background:
+    """One layer of a background: the object was `removed`, or `never` there; `converged`, and `present` with it."""
+
+    scene: int
+    name: str
+    silhouette: Mask
+    removed: Float32
+    never: Float32
+    converged: Float32 | None
+    present: Float32 | None
+
+
+def backgrounds(options: Options, backend: Backend, library: AssetLibrary) -> Iterator[Background]:
+    """Render the first view of each scene in all ways."""
+    values = {"seed": options.seed, "scenes": options.scenes, "width": options.size, "height": options.size, "views": 1}
+    config = load_config(None, values, options.preset)
+    for index in range(options.scenes):
+        for attempt in range(3):
+            scene, rig = sample_scene(config, library, Streams(options.seed, index, attempt))
+            if not contact_faults(scene, library):
+                break
+        else:
+            continue
+
+        def render(variant: str, spp: int, scene: SceneSpec = scene, rig: LightRig = rig) -> LayerStack:
+            return backend.render(RenderJob(scene, rig, RenderSettings(spp=spp), 0, variant))
+
+        everything = render("all", options.spp)
+        clean = denoise_all(everything)
+        for name in scene.insertable:
+            without, foreground = (render(f"{action}_{name}", options.spp) for action in ("without", "foreground"))
+            assert foreground.coverage is not None
+            silhouette = foreground.coverage > 0
+            if silhouette.sum() < LEAST:
+                continue
+            shown = shown_in(everything, without, foreground)
+            removed = denoise_without(without, everything, clean, shown).layers
+            bodies = tuple(body for body in scene.bodies if body.name != name)
+            lights = tuple(x for x in rig.lights if not (isinstance(x, EmissiveLight) and x.body == name))
+            never = denoise_all(
+                backend.render(
+                    RenderJob(
+                        scene.model_copy(update={"bodies": bodies}),
+                        LightRig(lights=lights),
+                        RenderSettings(spp=options.spp),
+                        0,
+                    )
+                )
+            )
+            truth = present = None
+            if options.converged_spp:
+                truth = render(f"without_{name}", options.converged_spp).radiance
+                present = render("all", options.converged_spp).radiance
+            for number, light in enumerate(lights):
+                at = rig.names.index(light.name)
+                yield Background(
+                    index,
+                    f"scene {index}, {name}, {light.name}",
+                    silhouette,
+                    removed[at],
+                    never[number],
+                    None if truth is None else truth[at],
+                    None if present is None else present[at],
+                )
+        print(f"scene {index} ({scene.kind}) rendered", flush=True)
+
+
+def shares_left(layer: Background) -> Iterator[float]:
+    """Yield how much of the object's contrast is left, by blocks inside the silhouette."""
+    assert layer.converged is not None
+    assert layer.present is not None
+    for top in range(0, layer.silhouette.shape[0], SIDE):
+        for left in range(0, layer.silhouette.shape[1], SIDE):
+            at = np.s_[top : top + SIDE, left : left + SIDE]
+            mask = layer.silhouette[at]
+            if mask.sum() < SIDE * SIDE // 4:
+                continue
+            true = layer.converged[at][mask].mean(axis=0)
+            off, contrast = layer.removed[at][mask].mean(axis=0) - true, layer.present[at][mask].mean(axis=0) - true
+            if np.abs(contrast).max() > CONTRAST * (true.mean() + 0.02 * layer.converged.mean()):
+                yield float(off @ contrast / (contrast @ contrast))
+
+
+def _error(picture: Float32, true: Float32, where: Mask) -> float:
+    scale = true.mean(axis=-1, keepdims=True) + 0.05 * true.mean()
+    return float(np.sqrt(np.mean(np.square((picture - true) / scale)[where])))
+
+
+def _colour_error(picture: Float32, true: Float32, where: Mask) -> float:
+    shares = [image / (image.sum(axis=-1, keepdims=True) + 0.05 * true.mean()) for image in (picture, true)]
+    return float(np.abs(shares[0] - shares[1])[where].mean())
+
+
+def _gradient_energy(picture: Float32, true: Float32, where: Mask) -> float:
+    scale = true.mean(axis=-1, keepdims=True) + 0.05 * true.mean()
+    energy = sum(np.square(np.diff(picture, axis=axis, append=picture[-1:] if axis == 0 else picture[:, -1:]))
+                 for axis in (0, 1)) / scale**2  # fmt: skip
+    return float(energy[where].mean())
+
+
+MEASURES: dict[str, Callable[[Float32, Float32, Mask], float]] = {
+    "error": _error,
+    "error of colour": _colour_error,
+    "gradient energy": _gradient_energy,
+}
+
+
+def compare(layers: list[Background]) -> None:
+    """Print the ratios of what was removed from to what never had the object."""
+    left = [(max(found), layer.name) for layer in layers if (found := list(shares_left(layer)))]
+    ghosts = [f"{name} ({share:.2f})" for share, name in sorted(left, reverse=True) if share > 0.5]
+    print(f"layers with a block in which more than half of the object is left: {len(ghosts)} of {len(left)}", *ghosts)
+    for place in ("inside silhouettes", "in a ring round them"):
+        for name, measure in MEASURES.items():
+            ratios = []
+            for layer in layers:
+                assert layer.converged is not None
+                near, far = (binary_dilation(layer.silhouette, iterations=reach) for reach in (4, 14))
+                where = layer.silhouette if place.startswith("inside") else far & ~near
+                values = [measure(picture, layer.converged, where) for picture in (layer.removed, layer.never)]
+                if min(values) > 0:
+                    ratios.append(np.log(values[0] / values[1]))
+            spread = np.std(ratios) / np.sqrt(len(ratios))
+            print(f"{name} {place}: {np.exp(np.mean(ratios)):.3f} ± {spread:.3f} times that of what never had it")
+
+
+class Finder(nn.Module):
+    """A small network that looks at a layer, and at what its neighbourhood does not explain, for 23 pixels around."""
+
+    def __init__(self, width: int = 24) -> None:
+        super().__init__()
+        parts: list[nn.Module] = [nn.Conv2d(6, width, 3, padding=1)]
+        for reach in (1, 1, 2, 2, 4, 4):
+            parts += [nn.GroupNorm(4, width), nn.ReLU(), nn.Conv2d(width, width, 3, padding=reach, dilation=reach)]
+        self.layers = nn.Sequential(*parts, nn.ReLU(), nn.Conv2d(width, 1, 1))
+
+    def forward(self, image: torch.Tensor) -> torch.Tensor:
+        """Return logits of each pixel's being in a silhouette; `image` (N, 3, H, W) are logarithms of radiance."""
+        fine = image - nn.functional.avg_pool2d(image, 5, 1, 2, count_include_pad=False)
+        return self.layers(torch.cat([image - image.mean(dim=(2, 3), keepdim=True), 5 * fine], dim=1))
+
+
+def found_by_network(layers: list[Background], kind: str, steps: int) -> tuple[float, float]:
+    """Train on two thirds of the scenes; return the area under the curve on the others, and its standard error."""
+    scenes = np.unique([layer.scene for layer in layers])
+    kept = set(np.random.default_rng(0).permutation(scenes)[: max(1, len(scenes) // 3)].tolist())
+    pictures = torch.stack([_logarithm(getattr(layer, kind)) for layer in layers])
+    masks = torch.tensor(np.array([layer.silhouette for layer in layers]))[:, None].float()
+    held_out = torch.tensor([layer.scene in kept for layer in layers])
+    known, known_masks = pictures[~held_out], masks[~held_out]
+    torch.manual_seed(0)
+    network = Finder()
+    optimizer = torch.optim.AdamW(network.parameters(), 2e-3)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
+    for _ in range(steps):
+        chosen = torch.randint(len(known), (8,))
+        logits = network(known[chosen])
+        loss = nn.functional.binary_cross_entropy_with_logits(
+            logits, known_masks[chosen], pos_weight=torch.tensor(10.0)
+        )
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        schedule.step()
+    with torch.no_grad():
+        areas = [
+            _area(network(p[None])[0].numpy(), m.numpy() > 0)
+            for p, m in zip(pictures[held_out], masks[held_out], strict=True)
+        ]
+    of_scene = [np.mean([a for a, x in zip(areas, (y for y in layers if y.scene in kept), strict=True) if x.scene == s])
+                for s in sorted(kept)]  # fmt: skip
+    return float(np.mean(of_scene)), float(np.std(of_scene) / np.sqrt(len(of_scene)))
+
+
+def _logarithm(layer: Float32) -> torch.Tensor:
+    middle = np.exp(np.log(layer.mean(axis=-1) + 1e-9).mean())
+    return torch.from_numpy(np.log(layer / middle + 0.02)).permute(2, 0, 1)
+
+
+def _area(scores: Float32, truth: NDArray[np.bool_]) -> float:
+    """Area under the ROC curve, by the rank sum (Mann and Whitney 1947)."""
+    ranks, positives = rankdata(scores).reshape(truth.shape), truth.sum()
+    return float((ranks[truth].sum() - positives * (positives + 1) / 2) / (positives * (truth.size - positives)))
+
+
+def main(options: Options) -> None:
+    """Render, compare, train, print."""
+    library = AssetLibrary()
+    with open_backend(resolve_renderer(options.renderer), library) as backend:
+        layers = list(backgrounds(options, backend, library))
+    if options.converged_spp:
+        compare(layers)
+    if options.steps:
+        for kind, title in (("removed", "from which it was removed"), ("never", "that never had it")):
+            area, error = found_by_network(layers, kind, options.steps)
+            print(
+                f"a network finds the object's place in backgrounds {title}: {area:.3f} ± {error:.3f} under the curve"
+            )
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options))
