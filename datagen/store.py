@@ -110,7 +110,7 @@ def write_view(path: Path, view: ViewData) -> None:
     """Write one view as a multi-part OpenEXR file; radiance as half float, or float where half would overflow."""
     stored = dict(view.variants) | {RAW + variant: layers for variant, layers in view.raw.items()}
     parts = [_layers_part(part, view.lights, layers) for part, layers in stored.items()]
-    parts.append(_part("combined", _color_channels("combined", _radiance(view.combined))))
+    parts.append(_part("combined", _color_channels("combined", in_half(view.combined))))
     parts.append(_part("geometry", _geometry_channels(view.geometry, view.coverage)))
     path.parent.mkdir(parents=True, exist_ok=True)
     OpenEXR.File(parts).write(str(path))
@@ -213,10 +213,11 @@ def _parse(content: bytes, name: str, kind: type[_Record]) -> _Record:
 
 def as_stored(layers: Float32) -> Float32:
     """Return (L, H, W, 3) radiance as it reads back: each layer in half precision, or as it is where that overflows."""
-    return np.stack([_radiance(layer).astype(np.float32) for layer in layers])
+    return np.stack([in_half(layer).astype(np.float32) for layer in layers])
 
 
-def _radiance(values: Float32) -> NDArray[np.floating]:
+def in_half(values: Float32) -> NDArray[np.floating]:
+    """Return radiance as half floats, or as it is where these would overflow: nothing is clamped."""
     return values.astype(np.float16) if float(values.max(initial=0.0)) <= HALF_MAX else values
 
 
@@ -232,7 +233,7 @@ def _part(name: str, channels: Mapping[str, NDArray[np.generic]]) -> OpenEXR.Par
 def _layers_part(variant: str, lights: tuple[str, ...], layers: Float32) -> OpenEXR.Part:
     channels: dict[str, NDArray[np.generic]] = {}
     for light, layer in zip(lights, layers, strict=True):
-        channels |= _color_channels(f"{variant}.{light}", _radiance(layer))
+        channels |= _color_channels(f"{variant}.{light}", in_half(layer))
     return _part(variant, channels)
 
 

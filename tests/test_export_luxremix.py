@@ -14,7 +14,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from datagen.cli import main
-from datagen.export.luxremix import light_masks
+from datagen.export.luxremix import _rgba, _write_exr, light_masks
 from datagen.export.luxremix_meta import draw_passes
 from datagen.records import SceneRecord
 from datagen.source import open_dataset
@@ -174,3 +174,14 @@ def test_a_scene_of_environment_light_alone_has_no_layers(spheres_dataset: Path)
     record = open_dataset(spheres_dataset).scene(0)
     rig = record.rig.model_copy(update={"lights": (EnvironmentLight(name="environment"),)})
     assert draw_passes(record.model_copy(update={"rig": rig})).lights == ()
+
+
+def test_radiance_beyond_half_floats_is_not_clamped(tmp_path: Path) -> None:
+    for peak, kind in ((1e4, np.float16), (1e6, np.float32)):
+        picture = np.full((4, 6, 3), peak, np.float32)
+        _write_exr(tmp_path / "mix.exr", _rgba(picture))
+        channels = OpenEXR.File(str(tmp_path / "mix.exr"), separate_channels=True).channels()
+        assert set(channels) == set("RGBA")
+        assert channels["R"].pixels.dtype == kind
+        np.testing.assert_array_equal(channels["G"].pixels, picture[..., 1])
+        np.testing.assert_array_equal(channels["A"].pixels, 1)

@@ -15,16 +15,17 @@ from pathlib import Path
 
 import numpy as np
 import OpenEXR
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from datagen.copies import Copy, files_of, making, whole_folder
 from datagen.export.images import jpeg, png, share_to_byte
 from datagen.export.luxremix_meta import Passes, draw_passes, metadata
 from datagen.export.tars import TarShards
+from datagen.layers import Float32
 from datagen.manifest import ScenePart, scene_part
 from datagen.records import SceneRecord
 from datagen.source import DatasetSource
-from datagen.store import HALF_MAX, ViewData
+from datagen.store import ViewData, in_half
 from lights.relight import mix
 from lights.spec import EmissiveLight
 from lights.tonemap import srgb_encode, to_display
@@ -177,9 +178,9 @@ def light_masks(view: ViewData, record: SceneRecord, passes: Passes) -> tuple[ND
     return fixtures, sources
 
 
-def _rgba(picture: ArrayLike) -> dict[str, NDArray[np.float16]]:
-    half = np.minimum(np.asarray(picture), HALF_MAX).astype(np.float16)
-    return dict(zip("RGB", np.moveaxis(half, -1, 0), strict=True)) | {"A": np.ones(half.shape[:2], np.float16)}
+def _rgba(picture: Float32) -> dict[str, NDArray[np.floating]]:
+    planes = np.moveaxis(in_half(picture), -1, 0)
+    return dict(zip("RGB", planes, strict=True)) | {"A": np.ones_like(planes[0])}
 
 
 def _write_exr(path: Path, channels: Mapping[str, NDArray[np.floating]]) -> None:
