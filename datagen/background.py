@@ -10,7 +10,8 @@ from pathlib import Path
 from datagen.config import DatasetConfig
 from datagen.errors import UserError
 from scenes.assets.background import PACK
-from scenes.assets.cache import default_cache, sources_key
+from scenes.assets.cache import default_cache, is_sound, sources_key
+from scenes.assets.claims import check_model
 from scenes.assets.library import AssetError, AssetLibrary
 from scenes.custom import background_bodies, find_places
 from scenes.whole import write_whole
@@ -64,7 +65,7 @@ def converted_blend(file: Path, cache: Path) -> Path:
         file.read_bytes() + sources_key(str(Path(__file__).parent / "backends" / "blender" / "convert.py")).encode()
     )
     target = cache / "backgrounds" / f"blend-{digest.hexdigest()[:32]}" / f"{file.stem}.glb"
-    if target.is_file():
+    if is_sound(target, lambda glb: check_model(glb, glb.parent)):
         return target
     target.parent.mkdir(parents=True, exist_ok=True)
     root = str(Path(__file__).parents[1])

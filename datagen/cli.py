@@ -1,7 +1,7 @@
 """The generator's command line; the commands themselves stand in `datagen/commands/`."""
 
-import contextlib
-import os
+import dataclasses
+import math
 import sys
 from collections.abc import Mapping
 from typing import Annotated, Any, Union
@@ -10,7 +10,24 @@ import tyro
 
 from datagen.commands import export, import_scene, installed, look, make, pack, query
 from datagen.errors import UserError
-from datagen.text import plain
+from datagen.terminal import (
+    PIPE_BROKEN,
+    EndedError,
+    check_memory,
+    drop_unwritten,
+    one_line,
+    prepare_streams,
+    reason_of,
+    signals_end_it,
+)
+from scenes.limits import shown
+
+ABOUT = "Synthetic multi-light data for object compositing, harmonization, relighting and shadow generation."
+LONGEST_WORD = 4096
+"""Characters of the longest argument that is taken; paths have no more."""
+LARGEST_NUMBER = 2**53
+"""The largest whole number that every library takes, as a float as well."""
+STOPPED = "stopped; the same command goes on where it was"
 
 COMMANDS: dict[str, type] = {
     "dataset": make.Dataset,
@@ -35,51 +52,85 @@ def main(arguments: list[str] | None = None, commands: Mapping[str, type] = COMM
 
     `--traceback` anywhere shows where an error came from.
     """
+    prepare_streams()
     words = list(sys.argv[1:] if arguments is None else arguments)
     traceback = "--traceback" in words
     words = [word for word in words if word != "--traceback"]
+    for word in words:
+        if len(word) > LONGEST_WORD:
+            print(f"error: {one_line(shown(word))} has {len(word)} characters; shorten it", file=sys.stderr)
+            return 2
+        if not word.isascii() and word.encode(errors="replace").decode() != word:  # native libraries cannot open it
+            print(f"error: {one_line(word)} is no text in UTF-8; rename it", file=sys.stderr)
+            return 2
     choices: Any = tuple(Annotated[kind, tyro.conf.subcommand(name)] for name, kind in commands.items())
     every: Any = Union[choices]  # noqa: UP007  (made at run time)
     command = tyro.cli(
         every,
         args=words,
         prog="multilight",
-        description="Synthetic multi-light data for object compositing, relighting and shadow generation.",
+        description=ABOUT,
         config=(tyro.conf.OmitArgPrefixes,),
     )
     try:
-        code = int(command.run())
-        sys.stdout.flush()
-        return code
+        check_memory()
+        _check_numbers(command)
+        with signals_end_it():
+            try:
+                code = int(command.run())
+            finally:
+                _tell_of_cache()
+            sys.stdout.flush()
+            return code
     except KeyboardInterrupt:
-        print("stopped; the same command goes on where it was", file=sys.stderr)
+        print(STOPPED, file=sys.stderr)
         return 130
-    except RuntimeError as error:
-        if traceback or not _is_for_users(error):
+    except EndedError as ended:
+        print(STOPPED, file=sys.stderr)
+        return ended.code
+    except (BrokenPipeError, SystemExit):  # rich makes the one of the other
+        drop_unwritten()
+        return PIPE_BROKEN
+    except (RuntimeError, OSError, MemoryError) as error:
+        told = _told(error)
+        if traceback or told is None:
             raise
-        print(f"error: {plain(str(error))}", file=sys.stderr)
-        return 1
-    except BrokenPipeError:
-        _drop_output()
-        return 1
-    except OSError as error:  # a folder that cannot be written, a full disk, a file that went away
-        if traceback:
-            raise
-        if error.filename is None:
-            _drop_output()
-        told = str(error) if error.filename is None else f"{error.filename}: {error.strerror}"
-        print(f"error: {plain(told)}; free some space, or choose another place", file=sys.stderr)
+        drop_unwritten()
+        print(f"error: {one_line(told)}", file=sys.stderr)
         return 1
 
 
-def _drop_output() -> None:
-    """Let nothing more be written to a standard output that takes nothing, at the end of the process either."""
-    with contextlib.suppress(OSError):  # there may be none
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+def _check_numbers(command: Any) -> None:
+    """Raise `UserError` where an option is no finite number, or larger than any count or seed may be."""
+    for field in dataclasses.fields(command):
+        value = getattr(command, field.name)
+        name = f"--{field.name.replace('_', '-')}"
+        if dataclasses.is_dataclass(value):
+            _check_numbers(value)
+        elif isinstance(value, float) and not math.isfinite(value):
+            raise UserError(f"{name} {value} must be a finite number")
+        elif isinstance(value, int) and abs(value) > LARGEST_NUMBER:
+            raise UserError(f"{name} has {len(str(abs(value)))} digits; {LARGEST_NUMBER} is the largest number taken")
 
 
-def _is_for_users(error: RuntimeError) -> bool:
+def _tell_of_cache() -> None:
+    """Say what was damaged in the asset cache."""
+    if cache := sys.modules.get("scenes.assets.cache"):  # slow to import, and few commands need it
+        cache.tell_thrown_away()
+
+
+def _told(error: Exception) -> str | None:
+    """Say what a user can act on; None for a fault of the program."""
     from datagen.backends import BackendError
     from scenes.assets.info import AssetError
 
-    return isinstance(error, (UserError, BackendError, AssetError))
+    match error:
+        case UserError() | BackendError() | AssetError():
+            return str(error)
+        case MemoryError():
+            return (
+                f"not enough memory ({error or 'none left'}); free some, or ask for fewer workers or smaller pictures"
+            )
+        case OSError():
+            return f"{reason_of(error)}; free some space, or choose another place"
+    return None

@@ -1,7 +1,6 @@
 """The typed configuration of a dataset; everything that decides its content is in here, and nothing else is."""
 
 import difflib
-import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
@@ -11,6 +10,7 @@ from pydantic import ConfigDict, Field, ValidationError, model_validator
 from datagen.errors import UserError
 from datagen.presets import PRESETS, Preset
 from scenes.frozen import Frozen, UnitFloat
+from scenes.limits import read_toml, shown
 from scenes.paths import CameraSettings
 from scenes.splits import Split, SplitShares, scene_place, scene_split
 
@@ -156,7 +156,7 @@ def describe_validation_error(error: ValidationError, source: str) -> str:
     key = ".".join(str(part) for part in first["loc"]) or "configuration"
     if first["type"] == "extra_forbidden":
         return f"{source}: unknown key {key!r}; {_nearest(key)}known keys: {', '.join(config_keys())}"
-    return f"{source}: {key} = {first['input']!r}: {first['msg']}"
+    return f"{source}: {key} = {shown(first['input'])}: {first['msg']}"
 
 
 def _nearest(key: str) -> str:
@@ -181,7 +181,7 @@ def load_config(
     base = preset or values.pop("preset", None)
     values.pop("preset", None)
     if base is not None and str(base) not in PRESETS:
-        raise UserError(f"{path}: preset = {base!r}: there are {', '.join(PRESETS)}")
+        raise UserError(f"{path}: preset = {shown(base)}: there are {', '.join(PRESETS)}")
     start = _joined(below or {}, PRESETS[base].values if base else {})
     try:
         return DatasetConfig.model_validate(_joined(_joined(start, values), given))
@@ -203,10 +203,10 @@ def _joined(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
 def _read_toml(path: Path) -> dict[str, Any]:
     """Read a TOML file; raises `UserError` naming it."""
     try:
-        return tomllib.loads(path.read_text())
+        return read_toml(path)
     except FileNotFoundError:
         raise UserError(f"configuration file {path} does not exist") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except ValueError as error:
         raise UserError(f"configuration file {path} is not valid TOML: {error}") from None
     except OSError as error:
         raise UserError(f"configuration file {path} cannot be read: {error.strerror}") from None

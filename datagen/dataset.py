@@ -1,6 +1,7 @@
 """Make or continue a dataset: plan, worker processes, index; resumable after any kill."""
 
 import contextlib
+import glob
 import importlib.metadata
 import multiprocessing
 import os
@@ -256,7 +257,8 @@ def _collect(plan: Plan, futures: dict[ProcessFuture, int], watch: _Watch) -> di
             if (reason := _failure(plan, index, future, watch)) is not None:
                 failures[index] = reason
         finished = (len(futures) - len(waiting)) * plan.config.views
-        in_work = sum(1 for _ in (plan.root / "work").glob("*/views/*.exr"))
+        # Not pathlib's glob, which fails where a folder goes away meanwhile.
+        in_work = len(glob.glob("work/*/views/*.exr", root_dir=plan.root))
         watch.report(min(finished + in_work, total), total)
     return failures
 

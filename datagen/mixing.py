@@ -1,5 +1,6 @@
 """One stored view under any lighting, as a picture: the command `mix`."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +22,7 @@ from datagen.store import ViewData
 from lights.conditions import random_condition
 from lights.spec import LightingCondition
 from lights.tonemap import to_display
+from scenes.limits import read_text, shown
 from scenes.streams import Streams
 
 
@@ -68,20 +70,26 @@ def find_condition(text: str, record: SceneRecord, view: ViewData) -> LightingCo
     """Resolve a condition's name, a JSON file or `random:SEED` (metered on the view)."""
     if text.startswith("random:"):
         seed = text.removeprefix("random:")
-        if not seed.isdecimal():
-            raise UserError(f"condition {text!r}: the seed must be a whole number of 0 or more")
+        if not re.fullmatch("[0-9]{1,10}", seed):
+            raise UserError(f"condition {shown(text)}: the seed must be a whole number of at most 10 digits")
         rng = Streams(int(seed), record.index)("mix")
         drawn = random_condition(rng, record.rig, f"random_{seed}")
         return meter_condition(drawn, view.lights, [thumbnail(view.variants["all"])])
     if text in (names := [condition.name for condition in record.conditions]):
         return record.condition(text)
     path = Path(text)
-    if not path.is_file():
-        raise UserError(f"condition {text!r} is neither a file nor random:SEED nor one of {names}")
     try:
-        condition = LightingCondition.from_json(path.read_text())
-    except (ValidationError, UnicodeDecodeError) as error:
-        raise UserError(f"{path} is not a lighting condition: {str(error).splitlines()[0]}") from None
+        condition = LightingCondition.from_json(read_text(path))
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"]) or "content"
+        raise UserError(f"{path} is not a lighting condition: {key}: {first['msg']}") from None
+    except ValueError as error:
+        raise UserError(f"{path} is not a lighting condition: {error}") from None
+    except OSError as error:
+        raise UserError(
+            f"condition {shown(text)} is not one of {names}, nor random:SEED, nor a file ({error.strerror})"
+        ) from None
     if unknown := set(condition.gains) - set(view.lights):
         raise UserError(f"{path}: unknown lights {sorted(unknown)}; the scene has {list(view.lights)}")
     return condition

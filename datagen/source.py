@@ -37,11 +37,14 @@ from datagen.store import (
 )
 from datagen.text import plain
 from scenes.inside import inside
+from scenes.limits import shown
 from scenes.whole import write_whole
 
 OnBroken = Literal["raise", "skip"]
 MOST_INDEX = 1 << 29
 """Bytes of an index; that of a million scenes has about half as many."""
+LONGEST_WHERE = 4000
+"""Characters of the longest expression over the index."""
 
 
 @dataclass(frozen=True)
@@ -235,11 +238,13 @@ def repair_command(address: str) -> str:
 
 def select(table: pl.DataFrame, where: str) -> pl.DataFrame:
     """Keep the rows for which an SQL expression holds; raises `UserError` with the expression and the columns."""
+    if len(where) > LONGEST_WHERE or not where.isprintable():  # polars' parser overflows its stack on endless ones
+        raise UserError(f"where {shown(where)}: an expression is one line of at most {LONGEST_WHERE} characters")
     try:
         return table.filter(pl.sql_expr(where))
     except pl.exceptions.PolarsError as error:
         reason = str(error).splitlines()[0].partition(";")[0]
-        raise UserError(f"where {where!r}: {reason}; the columns are {', '.join(table.columns)}") from None
+        raise UserError(f"where {shown(where)}: {reason}; the columns are {', '.join(table.columns)}") from None
 
 
 def scene_names(place: Place) -> list[int] | None:

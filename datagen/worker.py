@@ -17,6 +17,7 @@ from datagen.background import open_library
 from datagen.config import DatasetConfig
 from datagen.errors import RunStoppedError, UserError
 from datagen.produce import Maker, make_scene
+from scenes.assets.cache import tell_thrown_away
 
 
 @dataclass(frozen=True)
@@ -72,6 +73,7 @@ def run_scene(setup: WorkerSetup, index: int) -> WorkerReport:
         except BaseException:
             traceback.print_exc()
             raise
+    tell_thrown_away()
     path.unlink(missing_ok=True)
     return WorkerReport(made.seconds, maker.library.broken)
 

@@ -30,6 +30,7 @@ from model.evaluation_scenes import SceneMethod
 from model.harmonize import chosen_device, network_harmonizer
 from model.training import FINISHED, train
 from model.training3d import train_scenes
+from scenes.limits import read_json
 from scenes.splits import Split
 
 Values = dict[str, Any]
@@ -301,7 +302,10 @@ def _claim(settings: AblationSettings, base: Values) -> None:
         check_folder(settings.out)
         write_text(path, json.dumps(asked, indent=1))
         return
-    stored = json.loads(path.read_text())
+    try:
+        stored = read_json(path)
+    except (OSError, ValueError) as error:
+        raise UserError(f"{path} cannot be read: {error}; choose another --out") from None
     for key in sorted(asked.keys() | stored.keys()):
         if asked.get(key) != stored.get(key):
             raise UserError(

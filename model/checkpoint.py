@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TypeVar
 
+import torch
 from pydantic import ValidationError
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
@@ -21,6 +22,7 @@ from model.compositing3d import Compositing3D, SceneNetwork, scene_network
 from model.config import NetworkConfig, TrainingConfig
 from model.config3d import SceneNetworkConfig
 from model.points3d import PointTransformer
+from scenes.limits import read_json
 
 Tensors = dict[str, Tensor]
 Network = TypeVar("Network", Compositing2D, Compositing3D | PointTransformer)
@@ -64,7 +66,7 @@ def load_checkpoint(
 ) -> Progress:
     """Put everything back where it was; raises `UserError` where the file is damaged or of another configuration."""
     try:
-        record = json.loads(path.read_text())
+        record = read_json(path)
         if record["schema_version"] != SCHEMA_VERSION:
             raise ValueError(f"schema version {record['schema_version']}, this program reads {SCHEMA_VERSION}")
         stored = type(config).model_validate(record["config"])  # keys that are newer than the file get their defaults
@@ -85,7 +87,10 @@ def load_checkpoint(
 def checkpoint_progress(folder: Path) -> Progress:
     """Return how far the training in a folder of checkpoints is: nowhere, where there is none."""
     path = newest_checkpoint(folder)
-    return Progress() if path is None else Progress(**json.loads(path.read_text())["progress"])
+    try:
+        return Progress() if path is None else Progress(**read_json(path)["progress"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise UserError(f"checkpoint {path} cannot be read: {error}; remove it, or start anew with --fresh") from None
 
 
 RUN_KEYS = {"out", "steps", "minutes", "device", "log_every", "save_every"}
@@ -123,11 +128,20 @@ def _loaded(path: Path, made: Callable[[str], Network]) -> Network:
         raise UserError(f"weights {path} do not exist; make some with: multilight train CONFIG")
     try:
         tensors, header = _read_tensors(path)
+        _check_size(lambda: made(header["network"]), tensors)
         network = made(header["network"])
         network.load_state_dict(tensors)
     except (OSError, ValueError, KeyError, ValidationError, RuntimeError) as error:
         raise UserError(f"weights {path} cannot be read: {str(error).splitlines()[0]}") from None
     return network.eval()
+
+
+def _check_size(make: Callable[[], nn.Module], tensors: Tensors) -> None:
+    """Raise `ValueError`, before the network is made, where a file's tensors are not what its header describes."""
+    with torch.device("meta"):
+        described = sum(value.numel() for value in make().state_dict().values())
+    if described != (found := sum(value.numel() for value in tensors.values())):
+        raise ValueError(f"its header describes a network of {described} numbers, the file holds {found}")
 
 
 def weights_header(path: Path) -> dict[str, str]:

@@ -1,7 +1,6 @@
 """The typed configuration of the model and of its training, read from TOML; imports no torch."""
 
 import difflib
-import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -10,6 +9,7 @@ from pydantic import ConfigDict, Field, ValidationError, model_validator
 
 from datagen.errors import UserError
 from scenes.frozen import Frozen, UnitFloat
+from scenes.limits import read_toml, shown
 
 Head = Literal["gain", "residual", "direct"]
 Input = Literal["background", "depth"]
@@ -193,10 +193,10 @@ def read_values(path: Path, overrides: dict[str, Any]) -> dict[str, Any]:
     Relative paths in the file are relative to the working directory. Raises `UserError` naming the file.
     """
     try:
-        values = tomllib.loads(path.read_text())
+        values = read_toml(path)
     except FileNotFoundError:
         raise UserError(f"configuration file {path} does not exist") from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (OSError, ValueError) as error:
         raise UserError(f"configuration file {path} cannot be read as TOML: {error}") from None
     for key, value in overrides.items():
         if value is not None:
@@ -231,8 +231,8 @@ def _describe(error: ValidationError, source: str, kind: type[Frozen]) -> str:
     if first["type"] == "missing":
         return f"{source}: {key} is missing"
     if first["type"] != "extra_forbidden":
-        shown = f" = {first['input']!r}" if not isinstance(first["input"], dict) else ""
-        return f"{source}: {key}{shown}: {first['msg']}"
+        value = f" = {shown(first['input'])}" if not isinstance(first["input"], dict) else ""
+        return f"{source}: {key}{value}: {first['msg']}"
     known = list(training_keys(kind))
     lasts = {name.rpartition(".")[2]: name for name in reversed(known)}
     close = difflib.get_close_matches(key, known, n=1) or [

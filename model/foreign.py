@@ -1,6 +1,5 @@
 """Evaluation sets of others that a user has on disk, as cases: FOSCom, and what such sets have in common."""
 
-import json
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from model.depth import DepthModel, guessed_depth
 from model.evaluation_cases import Case, Group, LazyGroup
 from model.pictures import read_mask, read_picture, resized
 from scenes.inside import OutsideError, inside
+from scenes.limits import read_json, read_text
 
 Float32 = NDArray[np.float32]
 
@@ -47,7 +47,7 @@ def prepared_paths(root: Path, scene: Path, *wanted: str) -> dict[str, Path]:
     """Read the paths of a prepared scene, relative to the set's root; raises `UserError` where one is missing."""
     file = scene / "transforms.json"
     try:
-        content: dict[str, Any] = json.loads(file.read_text())
+        content: dict[str, Any] = read_json(file)
         return {
             key: inside(root, content[key], beside=root)
             for key in (*wanted, "mask_path")
@@ -118,7 +118,7 @@ def _box(root: Path, stem: str, size: tuple[int, ...]) -> tuple[int, int, int, i
     text = root / "bbox" / f"{stem}.txt"
     if text.is_file():
         try:
-            left, top, right, bottom = (int(word) for word in text.read_text().split()[:4])
+            left, top, right, bottom = (int(word) for word in read_text(text).split()[:4])
         except ValueError:
             raise UserError(f"{text} must begin with four whole numbers: x1 y1 x2 y2") from None
     else:

@@ -14,6 +14,7 @@ from model.evaluation import GAMMA
 from model.evaluation_cases import Case, Group, LazyGroup
 from model.foreign import depth_of, difference_mask, filled, prepared_paths, prepared_scenes, same_size
 from model.pictures import read_mask, read_picture
+from scenes.limits import read_text
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
@@ -133,7 +134,7 @@ def _cosine(a: Float64, b: Float64) -> float:
 
 def _numbers(path: Path) -> Float64:
     try:
-        return np.loadtxt(path, dtype=np.float64)
+        return np.loadtxt(read_text(path).splitlines(), dtype=np.float64)
     except FileNotFoundError:
         raise UserError(f"{path} does not exist") from None
     except (OSError, ValueError) as error:

@@ -1,6 +1,5 @@
 """Pictures, masks and depths read from files that people have, with messages that say what is wrong with them."""
 
-import io
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +8,7 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 
 from datagen.errors import UserError
 from datagen.outputs import written
+from scenes.limits import open_picture, read_npy
 
 Float32 = NDArray[np.float32]
 
@@ -33,13 +33,13 @@ def read_depth(path: Path) -> Float32:
     """
     if path.suffix.lower() == ".npy":
         try:
-            depth = np.load(path, allow_pickle=False)
+            depth = read_npy(path)
         except (OSError, ValueError) as error:
             raise UserError(f"depth {path} cannot be read: {error}") from None
     else:
         depth = np.asarray(_opened(path))
     depth = np.squeeze(np.asarray(depth, np.float32))
-    if depth.ndim != 2:
+    if depth.ndim != 2 or not depth.size:
         raise UserError(f"depth {path} has shape {depth.shape}; it must be one number a pixel (H, W)")
     if np.isnan(depth).any():
         raise UserError(f"depth {path} holds NaN on {np.isnan(depth).sum()} pixels; write 0 where it is unknown")
@@ -75,8 +75,8 @@ def resized(picture: Float32, size: tuple[int, int]) -> Float32:
 
 def _opened(path: Path) -> Image.Image:
     try:
-        image = Image.open(io.BytesIO(path.read_bytes()))
-        image.load()
+        with open_picture(path) as image:
+            image.load()
     except FileNotFoundError:
         raise UserError(f"{path} does not exist") from None
     except UnidentifiedImageError:

@@ -5,12 +5,14 @@ colour = 0.5 + C0 * f_dc (the constant spherical harmonic), opacity = sigmoid(`o
 `rot` is a quaternion wxyz (Kerbl et al. 2023, `scene/gaussian_model.py`).
 """
 
+import re
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenes.gaussians import Gaussians
+from scenes.limits import LimitError, read_bytes, shown
 
 C0 = 0.28209479177387814
 """The constant real spherical harmonic, 1 / (2 sqrt(pi))."""
@@ -84,10 +86,18 @@ def read_gaussians(path: Path) -> Gaussians:
 
 def _vertices(path: Path) -> NDArray[np.void]:
     """Read the first element, `vertex`, of a binary PLY file as a structured array."""
-    content = path.read_bytes()
+    try:
+        return _parsed(path, read_bytes(path))
+    except LimitError as error:
+        raise ValueError(f"{path}: {error}") from None
+    except IndexError:
+        raise ValueError(f"{path}: a line of its header is cut short") from None
+
+
+def _parsed(path: Path, content: bytes) -> NDArray[np.void]:
     head, found, body = content.partition(b"end_header\n")
     lines = [line.split() for line in head.decode("ascii", "replace").splitlines()]
-    if not found or lines[0] != ["ply"]:
+    if not found or not lines or lines[0] != ["ply"]:
         raise ValueError(f"{path} is not a PLY file")
     orders = {"binary_little_endian": "<", "binary_big_endian": ">"}
     layout = next((line[1] for line in lines if line[:1] == ["format"]), "no")
@@ -101,7 +111,10 @@ def _vertices(path: Path) -> NDArray[np.void]:
     if unknown := [" ".join(f) for f in fields if len(f) != 2 or f[0] not in TYPES]:
         raise ValueError(f"{path}: property `{unknown[0]}` of a vertex cannot be read")
     kind = np.dtype([(name, orders[layout] + TYPES[type_]) for type_, name in fields])
-    count = int(lines[elements[0]][2])
+    claimed = lines[elements[0]][2]
+    if not re.fullmatch("[0-9]{1,12}", claimed) or not kind.itemsize:
+        raise ValueError(f"{path}: it claims {shown(claimed)} vertices of {kind.itemsize} bytes")
+    count = int(claimed)
     if len(body) < count * kind.itemsize:
         raise ValueError(
             f"{path} is truncated: {count} vertices take {count * kind.itemsize} bytes, {len(body)} are there"

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.lib.npyio import NpzFile
 from numpy.typing import NDArray
 
 from scenes.frozen import Frozen
@@ -96,12 +97,32 @@ def save_mesh(mesh: Mesh, path: Path) -> None:
 
 
 def load_mesh(path: Path) -> Mesh:
-    """Read what `save_mesh` wrote; never unpickles."""
-    with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
+    """Read what `save_mesh` wrote; never unpickles.
+
+    A damaged file makes NumPy, `zipfile` or pydantic raise errors of many kinds; `ValueError` where the arrays make no
+    mesh.
+    """
+    with path.open("rb") as file:
+        data = np.load(file, allow_pickle=False)
+        if not isinstance(data, NpzFile):
+            raise ValueError("it is no NPZ file")
         header = _Header.from_json(data["header"].tobytes().decode())
-        return Mesh(
-            tuple(
-                MeshPart(name, data[f"v{i}"], data[f"f{i}"], data[f"n{i}"], data[f"t{i}"], material)
-                for i, (name, material) in enumerate(zip(header.names, header.materials, strict=True))
-            )
+        parts = tuple(
+            MeshPart(name, data[f"v{i}"], data[f"f{i}"], data[f"n{i}"], data[f"t{i}"], material)
+            for i, (name, material) in enumerate(zip(header.names, header.materials, strict=True))
         )
+    for part in parts:
+        _check_arrays(part)
+    return Mesh(parts)
+
+
+def _check_arrays(part: MeshPart) -> None:
+    """Raise `ValueError` where a part's arrays are not of their types and shapes, or a face names no vertex."""
+    count = len(part.vertices)
+    wanted = ((part.vertices, (count, 3)), (part.normals, (count, 3)), (part.uv, (count, 2)))
+    if part.faces.dtype != np.int32 or part.faces.ndim != 2 or part.faces.shape[1] != 3 or not len(part.faces):
+        raise ValueError(f"part {part.name!r} has no faces")
+    if any(array.dtype != np.float32 or array.shape != shape for array, shape in wanted):
+        raise ValueError(f"part {part.name!r} has arrays of other types or shapes than a mesh's")
+    if part.faces.min() < 0 or part.faces.max() >= count:
+        raise ValueError(f"part {part.name!r} has faces that name vertices which are not there")

@@ -16,6 +16,7 @@ import trimesh
 from PIL import Image
 
 from scenes.assets import fetch, sweethome3d
+from scenes.assets.cache import tell_thrown_away
 from scenes.assets.check import check_assets
 from scenes.assets.cleaning import RawPart, clean_mesh
 from scenes.assets.environments import BPY_MAPS, PMNDRS_MAPS, decode_pmndrs, read_environment, without_negatives
@@ -108,12 +109,14 @@ def test_converted_meshes_are_read_back_the_same(library: AssetLibrary) -> None:
     assert list((library.cache / "meshes" / "builtin").glob("*.npz"))
 
 
-def test_a_damaged_converted_mesh_is_made_again(library: AssetLibrary) -> None:
+def test_a_damaged_converted_mesh_is_made_again(library: AssetLibrary, capsys: pytest.CaptureFixture[str]) -> None:
     before = set((library.cache / "meshes").rglob("*.npz"))
     wanted = library.mesh("builtin/die-01").sha256()
     (path,) = set((library.cache / "meshes").rglob("*.npz")) - before
     path.write_bytes(path.read_bytes()[:100])
     assert library.mesh("builtin/die-01").sha256() == wanted
+    tell_thrown_away()
+    assert str(path) in capsys.readouterr().err
 
 
 def _hash_of(cache: Path, asset: str) -> str:

@@ -92,8 +92,8 @@ class Sheet:
         from datagen.sheet import contact_sheet
         from datagen.source import open_dataset
 
-        if self.scenes < 1:
-            raise UserError(f"--scenes {self.scenes} must be 1 or more")
+        if not 1 <= self.scenes <= 10_000:
+            raise UserError(f"--scenes {self.scenes} must be 1 to 10000")
         source = open_dataset(self.dir)
         if not source.indices:
             raise UserError(f"{self.dir} holds no finished scene; make some with: multilight dataset --out {self.dir}")

@@ -121,6 +121,8 @@ def make_scenes(
     from datagen.doctor import slow_note
     from datagen.report import progress
 
+    if out.is_symlink() and not out.exists():
+        raise UserError(f"--out {out} is a link that leads nowhere (to {out.readlink()}); make that folder first")
     if workers is not None and workers < 1:
         raise UserError(f"--workers {workers} must be 1 or more")
     if note := slow_note(config.renderer):

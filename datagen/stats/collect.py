@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
 from datagen.config import DatasetConfig
 from datagen.errors import UserError
@@ -15,9 +14,9 @@ from datagen.produce import sample_scene
 from datagen.source import open_dataset
 from datagen.stats.duplicates import Bits, Pair, alike_in_content, alike_in_picture, picture_hash
 from datagen.stats.facts import SceneFacts, scene_facts
-from datagen.stats.pictures import picture_values
+from datagen.stats.pictures import picture_values, read_preview
 from datagen.stats.quantities import QUANTITIES, Coverage, Quantity, Value, coverage_of
-from datagen.store import file_inside, scene_dir
+from datagen.store import scene_dir
 from scenes.assets.library import AssetLibrary
 from scenes.splits import SPLITS, Split
 from scenes.streams import Streams
@@ -77,8 +76,7 @@ def measure_dataset(root: Path, library: AssetLibrary, report: Report) -> Summar
         record = source.scene(index)
         found = scene_facts(record.scene, record.rig, record.split, library)
         facts.append(replace(found, values=found.values | picture_values(scene_dir(root, index), record)))
-        with Image.open(file_inside(scene_dir(root, index), "preview.png")) as preview:
-            hashes.append(picture_hash(preview))
+        hashes.append(picture_hash(read_preview(scene_dir(root, index))))
         report(number + 1, len(source.indices))
     return summarize(f"{root.name}: {len(facts)} scenes", facts, hashes)
 

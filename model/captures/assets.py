@@ -14,7 +14,8 @@ from scenes.assets.beside import load_scene
 from scenes.assets.cleaning import Z_UP_FROM_Y_UP, clean_mesh, transformed
 from scenes.assets.folder import SUFFIXES
 from scenes.assets.gltf import raw_part
-from scenes.assets.library import AssetLibrary
+from scenes.assets.library import AssetError, AssetLibrary
+from scenes.limits import open_picture
 from scenes.meshes import Mesh
 from scenes.spec import Texture
 
@@ -49,7 +50,7 @@ def load_asset(name: str) -> Asset:
     library = AssetLibrary()
     mesh = library.mesh(name)
     images = {texture.image for part in mesh.parts if (texture := part.material.base_color_texture) is not None}
-    return Asset(mesh, {image: _linear(Image.open(library.texture_path(image))) for image in images})
+    return Asset(mesh, {image: _linear(open_picture(library.texture_path(image))) for image in images})
 
 
 def _from_file(path: Path) -> Asset:
@@ -66,6 +67,8 @@ def _from_file(path: Path) -> Asset:
         pieces = load_scene(path, path.parent).dump()
         parts = [raw_part(piece, keep) for piece in pieces if isinstance(piece, trimesh.Trimesh)]
         mesh = clean_mesh(transformed(parts, Z_UP_FROM_Y_UP))
+    except AssetError as error:
+        raise UserError(f"asset {error}") from None
     except Exception as error:  # trimesh raises whatever a broken file makes it stumble over
         raise UserError(f"asset {path} cannot be read: {type(error).__name__}: {error}") from None
     return Asset(mesh, textures)

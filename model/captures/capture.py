@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, UnidentifiedImageError
 
 from datagen.errors import UserError
 from model.captures.lenses import Lens, undistorted
 from model.pictures import read_depth, resized
 from scenes.cameras import matrix4, reprojection_error
+from scenes.limits import open_picture
 from scenes.spec import Camera
 
 Float32 = NDArray[np.float32]
@@ -118,9 +118,9 @@ def check_alignment(capture: Capture) -> None:
 def read_image(path: Path) -> Float32:
     """Read a picture as its pixels lie in the file, which is what cameras are given for: (H, W, 3) in [0, 1]."""
     try:
-        with Image.open(path) as image:
+        with open_picture(path) as image:
             return np.asarray(image.convert("RGB"), np.float32) / 255.0
-    except (UnidentifiedImageError, OSError, SyntaxError, ValueError) as error:
+    except (OSError, SyntaxError, ValueError) as error:
         raise UserError(f"{path} is not a picture that can be read: {error}") from None
 
 

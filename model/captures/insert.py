@@ -2,13 +2,10 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import ValidationError
-from safetensors.torch import load_file
 from torch import Tensor
 
 from datagen.errors import UserError
@@ -16,10 +13,9 @@ from model.captures.capture import Capture
 from model.captures.objects import ObjectView, PlacedObject
 from model.captures.planes import scene_centre
 from model.captures.trust import repaired, trust
-from model.checkpoint import weights_header
 from model.compositing2d import Compositing2D
-from model.compositing3d import Compositing3D, SceneNetwork, harmonize_scene, scene_network
-from model.config3d import SLIM3D, SceneNetworkConfig
+from model.compositing3d import Compositing3D, SceneNetwork, harmonize_scene
+from model.config3d import SLIM3D
 from model.depth import depth_from_metres
 from model.harmonize import harmonize
 from model.splat import splat_scene
@@ -104,21 +100,6 @@ def harmonize_capture(
         views=repaired(np.stack(single), consistent, believed, inserted.coverage),
         gaussians=replace(found, colors=colors.cpu().numpy().astype(np.float32)),
     )
-
-
-def load_stage3d(path: Path | None) -> SceneNetwork | None:
-    """Read finished weights of the 3D stage, if any; raises `UserError` naming the file and what is wrong with it."""
-    if path is None:
-        return None
-    if not path.is_file():
-        raise UserError(f"weights {path} do not exist")
-    try:
-        network = scene_network(SceneNetworkConfig.from_json(weights_header(path)["network"]))
-        network.load_state_dict(load_file(path))
-    except (OSError, ValueError, KeyError, ValidationError, RuntimeError) as error:
-        reason = str(error).splitlines()[-1].strip()
-        raise UserError(f"weights {path} are not those of a 3D stage: {reason}") from None
-    return network.eval()
 
 
 def _unseen(capture: Capture, placed: PlacedObject, views: list[ObjectView]) -> str:

@@ -1,6 +1,5 @@
 """Captures in nerfstudio's layout: `transforms.json`, pictures, maybe depth and a first point cloud."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,7 @@ from datagen.errors import UserError
 from model.captures.capture import Capture, Shot, load_shots
 from model.captures.lenses import Lens
 from scenes.inside import inside
+from scenes.limits import open_picture, read_json, shown
 
 Json = dict[str, Any]
 
@@ -21,10 +21,10 @@ def read_nerfstudio(file: Path, *, max_side: int, every: int = 1) -> Capture:
     Depth pictures of 16 bits are in thousandths of the unit of length. `every` takes each n-th frame.
     """
     try:
-        content: Json = json.loads(file.read_text())
+        content: Json = read_json(file)
         frames = content["frames"][::every]
         shots = [_shot(file.parent, content, frame) for frame in frames]
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, ArithmeticError) as error:
         what = f"has no {error}" if isinstance(error, KeyError) else f"cannot be read: {error}"
         raise UserError(f"{file} {what}") from None
     cloud = content.get("ply_file_path")
@@ -33,7 +33,7 @@ def read_nerfstudio(file: Path, *, max_side: int, every: int = 1) -> Capture:
         try:
             points = np.asarray(trimesh.load(inside(file.parent, cloud, beside=file.parent)).vertices, np.float64)
         except Exception as error:  # trimesh raises whatever a broken file makes it stumble over
-            raise UserError(f"points {file.parent / cloud} cannot be read: {error}") from None
+            raise UserError(f"{file}: points {shown(cloud)} cannot be read: {error}") from None
     return load_shots(file.parent, shots, max_side=max_side, points=points)
 
 
@@ -60,13 +60,13 @@ def _lens(image: Path, values: Json) -> Lens:
     if model not in known:
         raise UserError(f"{image}: camera model {model} cannot be read; {', '.join(known)} can")
     if "w" not in values or "h" not in values:
-        from PIL import Image
-
-        with Image.open(image) as opened:
+        with open_picture(image) as opened:
             values = values | {"w": opened.width, "h": opened.height}
     width, height = int(values["w"]), int(values["h"])
     fx = float(values["fl_x"]) if "fl_x" in values else 0.5 * width / np.tan(0.5 * float(values["camera_angle_x"]))
     fy = float(values.get("fl_y", fx))
+    if width < 1 or height < 1 or not (0 < fx < np.inf and 0 < fy < np.inf):
+        raise UserError(f"{image}: a camera of {width} x {height} pixels and focal length {fx:g}, {fy:g} sees nothing")
     first = (fx, fy, float(values.get("cx", width / 2)), float(values.get("cy", height / 2)))
     k1, k2, k3, k4, p1, p2 = (float(values.get(name, 0.0)) for name in ("k1", "k2", "k3", "k4", "p1", "p2"))
     if model == "OPENCV_FISHEYE":

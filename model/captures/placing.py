@@ -1,6 +1,5 @@
 """Where the object goes: a pose from a file, or a place on a plane of the capture."""
 
-import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +13,7 @@ from datagen.errors import UserError
 from model.captures.assets import Asset
 from model.captures.capture import Capture
 from model.captures.planes import find_plane, free_place, scene_centre, scene_up
+from scenes.limits import parse_json, read_text
 
 Float64 = NDArray[np.float64]
 
@@ -37,8 +37,10 @@ def placed(capture: Capture, asset: Asset, wish: Wish) -> Float64:
 
     Raises `UserError` for a pose file that cannot be read and where no plane is found.
     """
-    if wish.scale is not None and not wish.scale > 0:
-        raise UserError(f"--scale {wish.scale} must be above 0")
+    if wish.scale is not None and not 0 < wish.scale < np.inf:
+        raise UserError(f"--scale {wish.scale} must be above 0, and finite")
+    if not np.isfinite(wish.yaw) or wish.seed < 0:
+        raise UserError(f"--yaw {wish.yaw} must be finite, --seed {wish.seed} 0 or more")
     if wish.pose is not None:
         return _from_file(wish.pose, capture, asset, wish)
     plane = find_plane(capture, np.random.default_rng(wish.seed))
@@ -71,13 +73,15 @@ def upright(place: Float64, up: Float64, yaw: float, scale: float) -> Float64:
 def _from_file(path: Path, capture: Capture, asset: Asset, wish: Wish) -> Float64:
     """Read a 4x4 matrix, as JSON or 16 numbers, or JSON with `position` and, if wanted, `yaw`, `scale`, `up`."""
     try:
-        text = path.read_text()
+        text = read_text(path)
         try:
-            content: Any = json.loads(text)
+            content: Any = parse_json(text)
         except ValueError:
             content = np.array(text.replace(",", " ").split(), np.float64).reshape(4, 4)
         if isinstance(content, dict) and "position" in content:
             up = np.array(content["up"], np.float64) if "up" in content else scene_up(capture)
+            if not 0 < np.linalg.norm(up) < np.inf:
+                raise ValueError("its `up` has no direction")
             scale = float(content.get("scale", wish.scale or fitting_scale(capture, asset)))
             position = np.array(content["position"], np.float64).reshape(3)
             return _sound(path, upright(position, up / np.linalg.norm(up), float(content.get("yaw", wish.yaw)), scale))
@@ -93,8 +97,8 @@ def _from_file(path: Path, capture: Capture, asset: Asset, wish: Wish) -> Float6
 
 def _sound(path: Path, pose: Float64) -> Float64:
     linear = pose[:3, :3]
-    scale = float(np.cbrt(np.linalg.det(linear)))
+    scale = float(np.cbrt(np.linalg.det(linear))) if np.isfinite(pose).all() else 0.0
     turned = scale > 0 and np.allclose(linear @ linear.T, scale**2 * np.eye(3), atol=1e-3 * scale**2)
-    if not (np.isfinite(pose).all() and turned and np.allclose(pose[3], [0, 0, 0, 1])):
+    if not (turned and np.allclose(pose[3], [0, 0, 0, 1])):
         raise UserError(f"pose {path} is not a rotation, a uniform scale and a translation: {pose.tolist()}")
     return pose

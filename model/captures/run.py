@@ -13,16 +13,20 @@ from datagen.store import write_text
 from model.captures.assets import load_asset
 from model.captures.capture import Capture, check_alignment
 from model.captures.depths import with_depth
-from model.captures.insert import Harmonized, Inserted, harmonize_capture, insert_object, load_stage3d
+from model.captures.insert import Harmonized, Inserted, harmonize_capture, insert_object
 from model.captures.objects import PlacedObject
 from model.captures.placing import Wish, placed
 from model.captures.planes import scene_up
 from model.captures.read import read_capture
 from model.captures.video import orbit_cameras, render_gaussians, write_video
-from model.checkpoint import load_network
+from model.checkpoint import load_network, load_network3d
 from model.harmonize import DEFAULT_WEIGHTS, chosen_device
 from model.pictures import write_picture
 from scenes.gaussian_ply import write_gaussians
+
+MOST_FRAMES = 10_000
+MOST_SIDE = 2048
+"""Cells a side of the largest map: four million Gaussians."""
 
 
 @dataclass(frozen=True)
@@ -45,11 +49,14 @@ def insert_into_files(
 
     Raises `UserError` for whatever the user can mend, before the long work where it can be known.
     """
-    if frames < 0:
-        raise UserError(f"--frames {frames} must be 0 or more")
+    if not 0 <= frames <= MOST_FRAMES:
+        raise UserError(f"--frames {frames} must be 0 to {MOST_FRAMES}")
+    if not 0 < side <= MOST_SIDE or side & (side - 1):
+        raise UserError(f"--side {side} must be a power of two of at most {MOST_SIDE}")
     check_folder(out)
     network = load_network(sources.weights or DEFAULT_WEIGHTS).to(chosen_device(sources.device))
-    stage3d, asset = load_stage3d(sources.weights_3d), load_asset(sources.asset)
+    stage3d = None if sources.weights_3d is None else load_network3d(sources.weights_3d)
+    asset = load_asset(sources.asset)
     bare = read_capture(sources.capture, max_side=max_side, every=every)
     capture = with_depth(bare, sources.gaussians, sources.depth_model)
     if bare.z_depths is not None or sources.gaussians is not None:

@@ -7,16 +7,18 @@ import hashlib
 import re
 import shutil
 import uuid
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from PIL import Image
 from pydantic import TypeAdapter
 
-from scenes.assets import cleaning, gltf, imported
-from scenes.assets.cache import sources_key, write_json, write_once
+from scenes.assets import beside, claims, cleaning, gltf, imported
+from scenes.assets.cache import is_sound, read_kept, sources_key, write_json, write_once
 from scenes.assets.cleaning import RawPart, clean_mesh, extent
 from scenes.assets.finishes import part_name
 from scenes.assets.imported import FoundLight, Imported, Node, image_digest
@@ -27,6 +29,7 @@ from scenes.inside import OutsideError, inside
 from scenes.meshes import Mesh, MeshPart, load_mesh, save_mesh
 from scenes.spec import Material, Texture
 
+T = TypeVar("T")
 SUFFIXES = (".glb", ".gltf", ".usd", ".usda", ".usdc", ".usdz")
 SMALLEST, LARGEST = 0.3, 500.0
 """Longest side [m] of what may pass for a scene."""
@@ -66,7 +69,8 @@ class BackgroundPack:
     def _folder(self) -> Path:
         """Where the converted scene lies: under the hash of the file, of what lies beside it, and of the code."""
         usd = sorted(str(path) for path in (Path(__file__).parent / "usd").glob("*.py"))
-        code = sources_key(__file__, gltf.__file__, imported.__file__, cleaning.__file__, *usd)
+        own = (str(module.__file__) for module in (beside, claims, gltf, imported, cleaning))
+        code = sources_key(__file__, *own, *usd)
         digest = hashlib.sha256(code.encode())
         digest.update(self._file.read_bytes())
         if self._file.suffix.lower() not in (".glb", ".usdz"):
@@ -77,10 +81,23 @@ class BackgroundPack:
 
     @cached_property
     def _index(self) -> _Index:
-        file = self._folder / "index.json"
-        if not file.is_file():
+        return self._kept("index.json", lambda file: TypeAdapter(_Index).validate_json(file.read_bytes()))
+
+    def _kept(self, name: str, read: Callable[[Path], T]) -> T:
+        """Read a file of the converted scene; where it is missing or damaged, the whole is converted (again)."""
+        path = self._folder / name
+        found = read_kept(path, read)
+        if found is None:
             self._convert()
-        return TypeAdapter(_Index).validate_json(file.read_text(encoding="utf-8"))
+            found = read(path)
+        return found
+
+    def _whole(self, name: str) -> Path | None:
+        """Return a picture or map of the converted scene; None where there is none of that name."""
+        path = self._folder / name
+        if not is_sound(path):
+            self._convert()
+        return path if path.is_file() else None
 
     @property
     def pieces(self) -> tuple[Piece, ...]:
@@ -101,11 +118,10 @@ class BackgroundPack:
             found = self._read(work)
             index = _converted(self._file, found, work)
             write_json(work / "index.json", index.model_dump(mode="json"))
-            try:
-                work.rename(self._folder)
-            except OSError:
-                if not (self._folder / "index.json").is_file():
-                    raise
+            self._folder.mkdir(exist_ok=True)
+            # File by file: others may be reading those that are there; the index says that all are.
+            for path in sorted(work.iterdir(), key=lambda path: path.name == "index.json"):
+                path.replace(self._folder / path.name)
         except OSError as error:
             raise AssetError(
                 f"cannot write {self._folder}: {error}; free some space or set MULTILIGHT_CACHE"
@@ -163,20 +179,20 @@ class BackgroundPack:
         """Load the mesh of a body."""
         if name not in {piece.name for piece in self.pieces}:
             raise AssetError(f"{self._file} has no node {name!r}")
-        return load_mesh(self._folder / f"{name}.npz")
+        return self._kept(f"{name}.npz", load_mesh)
 
     def texture(self, name: str) -> Path:
         """Return the PNG of a texture `texture-<hash>`."""
         match = re.fullmatch(r"texture-([0-9a-f]{32})", name)
-        path = self._folder / f"{match[1]}.png" if match else None
-        if path is None or not path.is_file():
+        path = self._whole(f"{match[1]}.png") if match else None
+        if path is None:
             raise AssetError(f"no texture '{PACK}/{name}' in {self._file}")
         return path
 
     def environment(self, name: str) -> Path:
         """Return the environment map that came with the file."""
-        path = self._folder / f"{name}.exr"
-        if not re.fullmatch(r"[0-9a-z-]+", name) or not path.is_file():
+        path = self._whole(f"{name}.exr") if re.fullmatch(r"[0-9a-z-]+", name) else None
+        if path is None:
             raise AssetError(f"no environment map '{PACK}/{name}' in {self._file}")
         return path
 

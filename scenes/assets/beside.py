@@ -7,6 +7,7 @@ from typing import Any
 import trimesh
 from trimesh.resolvers import FilePathResolver
 
+from scenes.assets.claims import check_model, check_placed
 from scenes.assets.info import AssetError
 from scenes.inside import OutsideError, inside
 
@@ -31,13 +32,17 @@ class _Beside(FilePathResolver):
 def load_scene(path: Path, folder: Path) -> Any:
     """Load a GLB, glTF or OBJ file as trimesh's scene.
 
-    Raises `AssetError` where it names a file outside of `folder`, and whatever a broken file makes trimesh raise.
+    Raises `AssetError` where it claims too much or names a file outside of `folder`, and whatever a broken file makes
+    trimesh stumble over.
     """
+    check_model(path, folder)
     logger = logging.getLogger("trimesh")
     level, logger.level = logger.level, logging.CRITICAL
     resolver = _Beside(path, folder)
     try:
-        return trimesh.load_scene(path, process=False, resolver=resolver)
+        scene = trimesh.load_scene(path, process=False, resolver=resolver)
+        check_placed(scene)
+        return scene
     finally:
         logger.level = level
         if resolver.refused is not None:  # of some files trimesh only logs that they could not be read

@@ -1,6 +1,5 @@
 """The pack `builtin`: what needs no download. Objects and tables by formula, textures, bpy's own HDRIs."""
 
-import json
 import zlib
 from collections.abc import Callable
 from dataclasses import asdict
@@ -9,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from PIL import Image
+from pydantic import TypeAdapter
 
 from scenes import backdrop, gobos, grounds, patterns, primitives, screens, textures
 from scenes.assets import (
@@ -26,7 +26,7 @@ from scenes.assets import (
     tableware,
     toys,
 )
-from scenes.assets.cache import sources_key, write_json, write_once
+from scenes.assets.cache import is_sound, kept, sources_key, write_json, write_once
 from scenes.assets.environments import bpy_environment_path, bpy_environments
 from scenes.assets.info import AssetError, AssetInfo, AssetRole
 from scenes.assets.parts import Part, Rng, to_mesh
@@ -122,6 +122,7 @@ CATEGORIES = {
     "watering-can": "watering can",
 }
 """Categories of kinds that are not called after them."""
+_MODELS = TypeAdapter(list[AssetInfo])
 LICENCE, CREATOR = "CC0-1.0", "DTC-MultiLight builder"
 
 
@@ -130,6 +131,15 @@ def builtin_mesh(name: str) -> Mesh:
     kind, _, _ = name.rpartition("-")
     recipe, _ = (OBJECTS | TABLES | SURROUNDINGS)[kind]
     return to_mesh(recipe(np.random.Generator(np.random.PCG64(zlib.crc32(name.encode())))))
+
+
+def _read_index(path: Path) -> list[AssetInfo]:
+    """Read the list of models back; raises `ValueError` where it is not that of these."""
+    models = _MODELS.validate_json(path.read_bytes())
+    every = [f"{kind}-{n:02d}" for kind, (_, m) in (OBJECTS | TABLES | SURROUNDINGS).items() for n in range(1, m + 1)]
+    if [model.id for model in models] != [f"builtin/{name}" for name in every]:
+        raise ValueError("it does not list the built-in models")
+    return models
 
 
 def _model_infos(kinds: dict[str, tuple[Recipe, int]], role: AssetRole) -> list[AssetInfo]:
@@ -185,11 +195,7 @@ class BuiltinPack:
     def infos(self) -> list[AssetInfo]:
         """List models, textures, skies and bpy's HDRIs; models are measured once and remembered in the cache."""
         index = self._cache / "index" / f"builtin-{self._model_key}.json"
-        write_once(index, lambda path: write_json(path, [asdict(info) for info in builtin_models()]))
-        models = [
-            AssetInfo(**entry | {"size": tuple(entry["size"])})
-            for entry in json.loads(index.read_text(encoding="utf-8"))
-        ]
+        models = kept(index, _read_index, lambda path: write_json(path, [asdict(info) for info in builtin_models()]))
         return models + _texture_infos() + sky.sky_infos(licence=LICENCE, creator=CREATOR) + bpy_environments()
 
     def mesh_key(self, name: str) -> str:
@@ -212,7 +218,7 @@ class BuiltinPack:
         path = folder / f"{name}.png"
         if name in screens.SCREENS:
             return write_once(path, screens.make_screen(name).save)
-        if not path.exists():
+        if not is_sound(path):
             for suffix, pixels in zip(("", "-normal", "-roughness"), textures.make_texture(base), strict=True):
                 write_once(folder / f"{base}{suffix}.png", Image.fromarray(pixels).save)
         return path

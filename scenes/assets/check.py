@@ -4,11 +4,11 @@ from collections.abc import Iterator
 from typing import get_args
 
 import numpy as np
-from PIL import Image, UnidentifiedImageError
 
 from scenes.assets.environments import read_environment
 from scenes.assets.info import AssetError, AssetInfo, AssetRole
 from scenes.assets.library import AssetLibrary
+from scenes.limits import open_picture
 from scenes.meshes import Mesh
 from scenes.spec import Material
 
@@ -82,11 +82,11 @@ def _material_problems(library: AssetLibrary, material: Material) -> Iterator[st
 def _image_problems(library: AssetLibrary, image: str) -> Iterator[str]:
     try:
         path = library.texture_path(image)
-        with Image.open(path) as picture:
+        with open_picture(path) as picture:
             picture.load()
             if min(picture.size) < 2:
                 yield f"texture {image!r} is only {picture.width}x{picture.height} pixels"
     except AssetError as error:
         yield str(error)
-    except (OSError, UnidentifiedImageError, SyntaxError) as error:
+    except (OSError, ValueError, SyntaxError) as error:
         yield f"texture {image!r} cannot be decoded: {error}"

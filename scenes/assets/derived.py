@@ -11,11 +11,12 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 from scenes.assets.cache import sources_key, write_once
 from scenes.assets.info import AssetError
+from scenes.limits import open_picture
 
 MAPS = ("normal", "roughness")
 MEAN_ROUGHNESS = 0.75
@@ -64,9 +65,9 @@ def derived_map(source: Path, kind: str, cache: Path) -> Path:
 
     def write(path: Path) -> None:
         try:
-            with Image.open(source) as image:
+            with open_picture(source) as image:
                 detail = band(np.asarray(image.convert("RGB")))
-        except (OSError, UnidentifiedImageError) as error:
+        except (OSError, ValueError, SyntaxError) as error:
             raise AssetError(f"{source} is not a readable picture: {error}") from error
         Image.fromarray(slopes_to_normals(detail) if kind == "normal" else roughness_map(detail)).save(path)
 

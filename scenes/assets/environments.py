@@ -12,9 +12,12 @@ from numpy.typing import NDArray
 
 from scenes.assets.cache import write_once
 from scenes.assets.info import AssetError, AssetInfo
+from scenes.limits import LimitError, check_file, check_pixels
 from scenes.meshes import Mesh
 
 LARGEST_HALF = 65504.0
+MOST_CHANNELS = 64
+"""Channels of an environment map's file, over all its parts; three of them are used."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +80,7 @@ def _infos(pack: str, maps: dict[str, _Map], names: list[str], prefix: str) -> l
 def read_environment(path: Path) -> NDArray[np.float32]:
     """Read an equirectangular EXR as (H, W, 3) float32; raises `AssetError` where it is broken or not finite."""
     try:
+        _check_size(path)
         with OpenEXR.File(str(path), separate_channels=True) as file:
             channels = file.channels()
             image = np.stack([channels[c].pixels for c in "RGB"], axis=-1).astype(np.float32)
@@ -87,6 +91,17 @@ def read_environment(path: Path) -> NDArray[np.float32]:
     if not image.max() > 0:
         raise AssetError(f"{path} is black")
     return image
+
+
+def _check_size(path: Path) -> None:
+    """Raise `LimitError` where an EXR file has more pixels, or channels of them, than are read."""
+    check_file(path)
+    with OpenEXR.File(str(path), header_only=True) as file:
+        for part in file.parts:
+            (left, top), (right, bottom) = part.header["dataWindow"]
+            check_pixels(int(right) - int(left) + 1, int(bottom) - int(top) + 1)
+            if len(file.parts) * len(part.header["channels"]) > MOST_CHANNELS:
+                raise LimitError(f"it has more than {MOST_CHANNELS} channels; write its red, green and blue alone")
 
 
 def without_negatives(image: NDArray[np.float32]) -> NDArray[np.float32]:

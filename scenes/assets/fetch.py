@@ -4,8 +4,8 @@ A pack is unpacked into `<cache>/packs/<name>` under a temporary name, then rena
 the package, its version, the archive's SHA-256 and the licence. Nothing that a package holds is run.
 """
 
+import contextlib
 import hashlib
-import json
 import os
 import shutil
 import subprocess
@@ -24,6 +24,7 @@ from scenes.assets.environments import PMNDRS_MAPS, clean_copy, decode_pmndrs
 from scenes.assets.info import AssetError
 from scenes.assets.surfaces import convert_texture, surface_textures
 from scenes.assets.sweethome3d import LICENCES
+from scenes.limits import read_json
 
 FURNITURE = "usr/share/sweethome3d/furniture"
 TIMEOUT = 1800.0
@@ -87,10 +88,18 @@ def pack_record(name: str, cache: Path) -> dict[str, str]:
     """Read `pack.json` of a fetched pack: package, version, sha256, licence, folder."""
     path = pack_folder(name, cache) / "pack.json"
     try:
-        record = json.loads(path.read_text(encoding="utf-8"))
+        record = read_json(path)
         return {str(key): str(value) for key, value in record.items()}
     except (OSError, ValueError, AttributeError) as error:
-        raise AssetError(f"{path} is broken: {error}; delete its folder and fetch the pack again") from error
+        raise AssetError(f"{path} is broken: {error}; run `multilight assets fetch {name}`") from error
+
+
+def _is_whole(name: str, cache: Path) -> bool:
+    """Tell whether a pack has been fetched, and its record can be read."""
+    with contextlib.suppress(AssetError):
+        pack_record(name, cache)
+        return True
+    return False
 
 
 def fetch_pack(name: str, cache: Path | None = None) -> Path:
@@ -102,7 +111,7 @@ def fetch_pack(name: str, cache: Path | None = None) -> Path:
         raise AssetError(f"no pack {name!r}; there are {', '.join(SOURCES)}")
     source, cache = SOURCES[name], default_cache() if cache is None else cache
     target = pack_folder(name, cache)
-    if is_fetched(name, cache):
+    if _is_whole(name, cache):
         return target
     staging = target.with_name(f".{name}-{uuid.uuid4().hex}.tmp")
     try:
@@ -112,7 +121,7 @@ def fetch_pack(name: str, cache: Path | None = None) -> Path:
             _write_record(staging, source, version="installed", sha256="", folder_of_files=installed)
         else:
             _download_and_unpack(name, source, staging)
-        if target.exists() and not is_fetched(name, cache):
+        if target.exists() and not _is_whole(name, cache):
             shutil.rmtree(target)
         staging.rename(target)
     except OSError as error:

@@ -8,7 +8,6 @@ ignored, since lights are given by the rig.
 
 import csv
 import hashlib
-import json
 import re
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -17,10 +16,11 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from PIL import Image
+from pydantic import TypeAdapter
 
-from scenes.assets import cleaning, gltf
+from scenes.assets import beside, claims, cleaning, gltf
 from scenes.assets.beside import load_scene
-from scenes.assets.cache import sources_key, write_json, write_once
+from scenes.assets.cache import is_sound, kept, sources_key, write_json, write_once
 from scenes.assets.cleaning import Z_UP_FROM_Y_UP, RawPart, clean_mesh, extent, transformed
 from scenes.assets.gltf import raw_part
 from scenes.assets.imported import image_digest
@@ -30,6 +30,7 @@ from scenes.meshes import Mesh
 from scenes.spec import Texture
 
 SUFFIXES = (".glb", ".gltf", ".obj")
+_SIZE = TypeAdapter(tuple[float, float, float])
 COLUMNS = ("file", "id", "role", "category", "licence", "metres_per_unit", "up_axis")
 
 
@@ -54,7 +55,7 @@ class FolderPack:
             raise AssetError(f"{folder} is not a folder")
         self._folder, self._cache = folder.resolve(), cache
         self.name = self._folder.name
-        self._key = sources_key(__file__, gltf.__file__, cleaning.__file__)
+        self._key = sources_key(__file__, beside.__file__, claims.__file__, gltf.__file__, cleaning.__file__)
 
     @cached_property
     def _entries(self) -> dict[str, _Entry]:
@@ -82,8 +83,7 @@ class FolderPack:
             write_json(path, [round(float(v), 5) for v in high - low])
 
         try:
-            x, y, z = json.loads(write_once(index, write).read_text(encoding="utf-8"))
-            size = (x, y, z)
+            size = kept(index, lambda path: _SIZE.validate_json(path.read_bytes()), write)
         except AssetError:
             size = None
         return AssetInfo(
@@ -157,7 +157,7 @@ class FolderPack:
     def texture(self, name: str) -> Path:
         """Return the PNG of a texture `texture/<hash>` that a model of this pack brought."""
         match = re.fullmatch(r"texture/([0-9a-f]{32})", name)
-        if match is None or not self._texture_file(match[1]).is_file():
+        if match is None or not is_sound(self._texture_file(match[1])):
             raise AssetError(f"no texture '{self.name}/{name}'; load the model that uses it first")
         return self._texture_file(match[1])
 

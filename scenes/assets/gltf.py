@@ -1,7 +1,6 @@
 """glTF 2.0 and GLB files: materials, and whole scenes with their lights (KHR_lights_punctual)."""
 
-import json
-import struct
+from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from scenes.assets.beside import load_scene
+from scenes.assets.claims import Header, read_header
 from scenes.assets.cleaning import Z_UP_FROM_Y_UP, RawPart
 from scenes.assets.finishes import linear, part_name
 from scenes.assets.imported import Emission, FoundLight, Imported, KeepImage, Node
@@ -20,6 +20,7 @@ from scenes.assets.info import AssetError
 from scenes.cameras import matrix4
 from scenes.frozen import Rgb
 from scenes.inside import OutsideError, inside
+from scenes.limits import parse_json
 from scenes.spec import Material
 
 LIGHTS_KEY = "multilight_lights"
@@ -29,12 +30,11 @@ EMISSION_NITS = 200.0
 _NOT_READ = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_texture_basisu", "EXT_texture_webp")
 
 Float64 = NDArray[np.float64]
-Header = dict[str, Any]
 
 
 def read_gltf(path: Path, keep: KeepImage) -> Imported:
     """Read a GLB or glTF file; raises `AssetError` in one line with the file, what is wrong and the remedy."""
-    header = _header(path)
+    header, _ = read_header(path)
     _check_header(path, header)
     try:
         scene = load_scene(path, path.parent)
@@ -45,23 +45,6 @@ def read_gltf(path: Path, keep: KeepImage) -> Imported:
     except Exception as error:  # trimesh raises whatever a broken file makes it stumble over
         raise AssetError(f"{path} cannot be read ({type(error).__name__}: {error}); export it again") from error
     return Imported(nodes, lights)
-
-
-def _header(path: Path) -> Header:
-    """Return the JSON of a file."""
-    try:
-        data = path.read_bytes()
-        if data[:4] == b"glTF":
-            length, kind = struct.unpack("<I4s", data[12:20])
-            if kind != b"JSON" or struct.unpack("<I", data[8:12])[0] > len(data):
-                raise ValueError("it is cut short")
-            data = data[20 : 20 + length]
-        header = json.loads(data)
-        if not isinstance(header, dict):
-            raise ValueError("its JSON is no object")
-    except (OSError, ValueError, struct.error) as error:
-        raise AssetError(f"{path} is not a readable glTF file ({error}); export it again") from error
-    return header
 
 
 def _check_header(path: Path, header: Header) -> None:
@@ -183,7 +166,7 @@ def _lights(header: Header) -> Iterator[FoundLight]:
     defined = header.get("extensions", {}).get("KHR_lights_punctual", {}).get("lights", [])
     extras = _extras(header)
     if LIGHTS_KEY in extras:
-        yield from (FoundLight.model_validate(light) for light in json.loads(extras[LIGHTS_KEY]))
+        yield from (FoundLight.model_validate(light) for light in parse_json(extras[LIGHTS_KEY]))
         return
     scene = (header.get("scenes") or [{}])[header.get("scene", 0)]
     for node, matrix in _world(header, scene.get("nodes", [])):
@@ -216,15 +199,14 @@ def _light(light: Header, name: str | None, matrix: Float64) -> FoundLight:
 
 
 def _world(header: Header, roots: list[int]) -> Iterator[tuple[Header, Float64]]:
-    """Yield every node of a scene with its matrix (4, 4) to the world; a node that is its own ancestor is cut off."""
+    """Yield every node of a scene with its matrix (4, 4) to the world."""
     nodes = header.get("nodes", [])
-    waiting: list[tuple[int, Float64, frozenset[int]]] = [(index, np.eye(4), frozenset()) for index in roots]
+    waiting = deque((index, np.eye(4)) for index in roots)
     while waiting:
-        index, above, ancestors = waiting.pop(0)
+        index, above = waiting.popleft()
         matrix = above @ _local(nodes[index])
         yield nodes[index], matrix
-        trail = ancestors | {index}
-        waiting += [(child, matrix, trail) for child in nodes[index].get("children", []) if child not in trail]
+        waiting.extend((child, matrix) for child in nodes[index].get("children", []))
 
 
 def _local(node: Header) -> Float64:

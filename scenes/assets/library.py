@@ -3,7 +3,6 @@
 import contextlib
 import copy
 import hashlib
-import zipfile
 from collections.abc import Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import Protocol
 from scenes.assets import derived
 from scenes.assets.background import BackgroundPack
 from scenes.assets.builtin import BuiltinPack
-from scenes.assets.cache import default_cache
+from scenes.assets.cache import default_cache, read_kept
 from scenes.assets.environments import PmndrsPack
 from scenes.assets.fetch import SOURCES, is_fetched, pack_folder, pack_record
 from scenes.assets.folder import FolderPack
@@ -139,12 +138,8 @@ class AssetLibrary:
         pack, name = self._pack(asset)
         key = hashlib.sha256(f"{name} {pack.mesh_key(name)}".encode()).hexdigest()[:24]
         path = self.cache / "meshes" / info.pack / f"{key}.npz"
-        try:
-            return load_mesh(path)
-        except FileNotFoundError:
-            pass
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-            path.unlink(missing_ok=True)  # damaged by a full or failing disk: convert again
+        if (stored := read_kept(path, load_mesh)) is not None:
+            return stored
         with self._noting(asset):
             mesh = pack.mesh(name)
         try:

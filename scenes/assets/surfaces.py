@@ -6,10 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 
 from scenes.assets.cache import write_once
 from scenes.assets.info import AssetError, AssetInfo
+from scenes.limits import open_picture
 from scenes.meshes import Mesh
 from scenes.textures import height_from_albedo, normal_map
 
@@ -43,8 +44,8 @@ def surface_textures(pack: str) -> tuple[SurfaceTexture, ...]:
 def convert_texture(data: bytes, texture: SurfaceTexture, path: Path) -> None:
     """Write a package's picture as an RGB PNG of at most 1024 pixels; raises `AssetError` where it is broken."""
     try:
-        image = Image.open(io.BytesIO(data)).convert("RGB")
-    except (OSError, UnidentifiedImageError) as error:
+        image = open_picture(io.BytesIO(data)).convert("RGB")
+    except (OSError, ValueError, SyntaxError) as error:
         raise AssetError(f"{texture.member} is not a readable picture: {error}") from error
     if texture.turn:
         image = image.transpose(Image.Transpose.ROTATE_90)

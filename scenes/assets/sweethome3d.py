@@ -27,6 +27,7 @@ from scenes.assets.cache import sources_key, write_once
 from scenes.assets.cleaning import Z_UP_FROM_Y_UP, RawPart, clean_mesh, extent, transformed
 from scenes.assets.finishes import MtlEntry, material_of, part_name
 from scenes.assets.info import AssetError, AssetInfo, AssetRole
+from scenes.limits import read_member
 from scenes.meshes import Mesh
 
 TABLE = Path(__file__).with_name("sweethome3d.csv")
@@ -73,7 +74,7 @@ class _ZipResolver:
         if path is None:
             self.missing.append(name)
             raise FileNotFoundError(name)
-        return self._archive.read(path)
+        return read_member(self._archive, path)
 
     __getitem__ = get
 
@@ -141,8 +142,8 @@ class SweetHome3dPack:
         def write(path: Path) -> None:
             try:
                 with zipfile.ZipFile(self._folder / f"{match[1]}.sh3f") as archive:
-                    path.write_bytes(archive.read(match[2]))
-            except (KeyError, zipfile.BadZipFile) as error:
+                    path.write_bytes(read_member(archive, match[2]))
+            except (KeyError, ValueError, zipfile.BadZipFile) as error:
                 raise AssetError(f"texture '{self.name}/{name}' is not in {match[1]}.sh3f") from error
 
         return write_once(target, write)
@@ -170,8 +171,8 @@ def _properties(path: Path) -> tuple[dict[str, str], ...]:
         return ()
     try:
         with zipfile.ZipFile(path) as archive:
-            text = archive.read("PluginFurnitureCatalog.properties").decode("latin-1")
-    except (OSError, zipfile.BadZipFile, KeyError) as error:
+            text = read_member(archive, "PluginFurnitureCatalog.properties").decode("latin-1")
+    except (OSError, zipfile.BadZipFile, KeyError, ValueError) as error:
         raise AssetError(f"{path} is broken: {error}; run `multilight assets fetch sweethome3d`") from error
     entries: dict[str, dict[str, str]] = {}
     for key, number, value in re.findall(r"^(\w+)#(\d+)\s*=[ \t]*(.*?)\s*$", text, re.MULTILINE):
@@ -183,7 +184,7 @@ def _read(archive: zipfile.ZipFile, model: _Model) -> list[RawPart]:
     """Load a model's triangles and materials, one part a material."""
     path = PurePosixPath(model.properties["model"].lstrip("/"))
     resolver = _ZipResolver(archive, path.parent)
-    loaded = load_obj(io.BytesIO(archive.read(str(path))), resolver=resolver, group_material=True)
+    loaded = load_obj(io.BytesIO(read_member(archive, str(path))), resolver=resolver, group_material=True)
     if resolver.missing:
         raise ValueError(f"missing file {resolver.missing[0]}")
     return [_raw_part(geometry, resolver, model) for geometry in loaded["geometry"].values()]

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from datagen.backends import BackendError
 from lights.spec import EmissiveLight, LightRig
 from scenes.assets.library import AssetLibrary
+from scenes.limits import open_picture
 from scenes.meshes import MeshPart, rectangle_part, sphere_part
 from scenes.spec import Body, Material, MeshAsset, Rectangle, SceneSpec, Sphere, Texture
 
@@ -75,7 +75,7 @@ class Textures:
 
 def _read_words(path: Path) -> UInt32:
     try:
-        with Image.open(path) as picture:
+        with open_picture(path) as picture:
             rgba = np.asarray(picture.convert("RGBA"))
     except (OSError, ValueError, SyntaxError) as error:
         raise BackendError(f"cannot read image {path}: {error}; fetch or repair its asset") from error

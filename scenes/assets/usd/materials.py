@@ -11,6 +11,7 @@ import numpy as np
 from PIL import Image
 from pxr import UsdShade
 
+from scenes import limits
 from scenes.assets.finishes import part_name
 from scenes.assets.gltf import EMISSION_NITS
 from scenes.assets.imported import Emission
@@ -166,10 +167,10 @@ def open_picture(path: Path, file: Any, where: Any) -> Image.Image:
     resolved = resolved_file(path, file, where)
     try:
         if "[" in resolved:  # inside a .usdz
-            return Image.open(_from_package(resolved)).copy()
-        with Image.open(resolved) as picture:
+            return limits.open_picture(_from_package(resolved)).copy()
+        with limits.open_picture(Path(resolved)) as picture:
             return picture.copy()
-    except (OSError, SyntaxError, ValueError) as error:
+    except (OSError, SyntaxError, ValueError, KeyError, zipfile.BadZipFile) as error:
         raise AssetError(f"{path}: texture {file.path!r} cannot be read ({error}); save it as PNG") from error
 
 
@@ -195,4 +196,4 @@ def _from_package(resolved: str) -> io.BytesIO:
     """Open a file inside a .usdz."""
     package, _, inner = resolved.rstrip("]").partition("[")
     with zipfile.ZipFile(package) as archive:
-        return io.BytesIO(archive.read(inner))
+        return io.BytesIO(limits.read_member(archive, inner))

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdShade
 
+from scenes.assets.claims import check_triangles
 from scenes.assets.cleaning import Z_UP_FROM_Y_UP, RawPart
 from scenes.assets.imported import Emission, FoundLight, Imported, KeepImage, Node
 from scenes.assets.info import AssetError
@@ -15,14 +16,18 @@ from scenes.assets.usd.lights import LightReader, write_map
 from scenes.assets.usd.materials import Picture, bound_surface, package_of, read_material, rgb_of
 from scenes.assets.usd.shapes import SHAPES, Float64, Int64, read_shape
 from scenes.inside import OutsideError, held
+from scenes.limits import MOST_NODES, LimitError, check_file
 from scenes.spec import Material, Texture
 
 
 def open_stage(path: Path) -> Any:
     """Open a USD file; raises `AssetError` in one line with the file, what is wrong and the remedy."""
     try:
+        check_file(path)
         _check_layers(path)
         return Usd.Stage.Open(str(path))
+    except (OSError, LimitError) as error:
+        raise AssetError(f"{path} cannot be read: {error}") from error
     except OutsideError as error:
         raise AssetError(
             f"{path} refers to a layer outside of its folder: {error}; flatten it, or pack it as USDZ"
@@ -62,7 +67,15 @@ def read_usd(path: Path, keep: KeepImage, folder: Path) -> Imported:
 
     Raises `AssetError` in one line with the file, what is wrong and the remedy.
     """
-    return _Reader(path, open_stage(path), keep, folder).read()
+    try:
+        return _Reader(path, open_stage(path), keep, folder).read()
+    except AssetError:
+        raise
+    except LimitError as error:
+        raise AssetError(f"{path}: {error}") from error
+    except Exception as error:  # whatever a broken stage makes the above stumble over
+        reason = (str(error).strip() or "no reason given").splitlines()[-1].strip()
+        raise AssetError(f"{path} cannot be read ({type(error).__name__}: {reason}); export it again") from error
 
 
 class _Reader:
@@ -73,10 +86,13 @@ class _Reader:
         self._world = world_from_stage(stage)
         self._places = UsdGeom.XformCache()
         self._lights = LightReader(path, self._keep_map)
+        self._triangles = 0
 
     def read(self) -> Imported:
         nodes, lights = [], []
-        for prim in Usd.PrimRange(self._stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()):
+        for number, prim in enumerate(Usd.PrimRange(self._stage.GetPseudoRoot(), Usd.TraverseInstanceProxies())):
+            if number > MOST_NODES:
+                raise LimitError(f"it has more than {MOST_NODES} prims, each instance counted; join some")
             if not prim.IsA(UsdGeom.Imageable) or not _is_shown(prim):
                 continue
             if any(prim.IsA(shape) for shape in SHAPES):
@@ -97,6 +113,8 @@ class _Reader:
         shape = read_shape(prim)
         if shape is None:
             return None
+        self._triangles += len(shape.faces)
+        check_triangles(self._triangles)
         matrix = self._matrix(prim)
         if abs(np.linalg.det(matrix[:3, :3])) < 1e-18:
             return None

@@ -33,7 +33,9 @@ def read_shape(prim: Any) -> Shape | None:
     points = np.array(mesh.GetPointsAttr().Get() or [], np.float64).reshape(-1, 3)
     counts = np.array(mesh.GetFaceVertexCountsAttr().Get() or [], np.int64)
     corners = np.array(mesh.GetFaceVertexIndicesAttr().Get() or [], np.int64)
-    if not len(points) or not len(counts) or counts.sum() != len(corners) or corners.max() >= len(points):
+    if not len(points) or not len(counts) or counts.sum() != len(corners) or not len(corners):
+        return None
+    if counts.min() < 0 or corners.min() < 0 or corners.max() >= len(points):
         return None
     start = np.cumsum(counts) - counts
     fans = np.maximum(counts - 2, 0)
