@@ -82,13 +82,13 @@ def denoise_without(
         for box in _rectangles(seen):
             at = np.s_[box[0] : box[1], box[2] : box[3]]
             layer[at] += weight[at] * (_denoise(stack, light, box, _scale(raw_all)) - layer[at])
-        found = residual(layer, raw, own), residual(layer, raw, ~own)
+        found = residual(layer, raw, own, ~own)
         if max(found) > LIMIT:
             whole = _denoise(stack, light, None, _scale(raw))
-            again = residual(whole, raw, own), residual(whole, raw, ~own)
+            again = residual(whole, raw, own, ~own)
             if max(again) < 0.9 * max(found):  # else it is the denoiser's own bias
-                return whole, *again, True
-        return layer, *found, False
+                return whole, again[0], again[1], True
+        return layer, found[0], found[1], False
 
     layers, inside, outside, anew = zip(*_each_light(one, stack, threads), strict=True)
     named = tuple(name for name, again in zip(stack.lights, anew, strict=True) if again)

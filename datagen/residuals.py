@@ -25,47 +25,55 @@ LIMIT = 0.1
 GREY, FAINT = 0.1, 0.02  # of the block's mean of all channels, and of the picture's: below it light is not missed
 
 
-def residual(stored: Float32, rendered: Float32, where: Mask, *, least_side: int = SIDES[0]) -> float:
+def residual(stored: Float32, rendered: Float32, *where: Mask, least_side: int = SIDES[0]) -> list[float]:
     """Return by how much of the local radiance blocks of a layer differ from what was rendered, beyond noise.
 
-    stored, rendered: (H, W, 3) linear radiance; where (H, W): pixels that count. The result is the largest over
-    channels and over blocks of at least so many pixels a side, up to the whole picture; 0 where noise explains all.
+    stored, rendered: (H, W, 3) linear radiance; each `where` (H, W): pixels that count. The result for each is the
+    largest over channels and over blocks of at least so many pixels a side, up to the whole picture; 0 where noise
+    explains all.
     """
     change = stored - rendered
-    rough = np.square(change - uniform_filter(change, (3, 3, 1))) * (9 / 8)  # the noise of a pixel, edges kept out
-    counted = where[..., None]
-    sums = [_blocks(values) for values in (counted * np.ones_like(rough), counted * change,
-                                           counted * np.square(change), counted * rendered, rough)]  # fmt: skip
+    # The noise of a pixel; edges are in both.
+    noise = _blocks(np.square(change - uniform_filter(change, (3, 3, 1))) * np.float32(9 / 8))
     faint = FAINT * float(rendered.mean())
+    pictures = change, np.square(change), rendered
+    return [_largest([_blocks(part, mask) for part in pictures], _blocks(mask[..., None]), noise, faint, least_side)
+            for mask in where]  # fmt: skip
+
+
+def _largest(sums: list[Blocks], pixels: Blocks, noise: Blocks, faint: float, least_side: int) -> float:
     found = []
     for side in SIDES:
         if side > SIDES[0]:
-            sums = [_joined(values) for values in sums]
+            *sums, pixels, noise = (_joined(values) for values in (*sums, pixels, noise))
         if side >= least_side:
-            around = uniform_filter(sums[-1], (AROUND, AROUND, 1)) / side**2
-            found.append(_beyond_noise(sums, around, faint, LEAST * side**2))
-    whole = [values.sum(axis=(0, 1), keepdims=True) for values in sums]
-    return max(*found, _beyond_noise(whole, whole[-1] / where.size, faint, LEAST * SIDES[-1] ** 2))
+            around = uniform_filter(noise, (AROUND, AROUND, 1)) / side**2
+            found.append(_beyond_noise(sums, pixels, around, faint, LEAST * side**2))
+    *whole, count, total = (values.sum(axis=(0, 1), keepdims=True) for values in (*sums, pixels, noise))
+    found.append(
+        _beyond_noise(whole, count, total / (noise[..., 0].size * SIDES[-1] ** 2), faint, LEAST * SIDES[-1] ** 2)
+    )
+    return max(found)
 
 
-def _beyond_noise(sums: Sequence[Blocks], noise: Blocks, faint: float, least: float) -> float:
+def _beyond_noise(sums: Sequence[Blocks], pixels: Blocks, noise: Blocks, faint: float, least: float) -> float:
     """Return the largest residual of blocks, from sums over their pixels and one pixel's noise variance round them."""
-    pixels, change, squares, light, _ = sums
+    change, squares, light = sums
     n = np.maximum(pixels, 1)
     mean = change / n
     error = np.sqrt(np.maximum(squares / n - mean**2, noise) / n)
     local = light / n
     local = local + GREY * local.mean(axis=-1, keepdims=True) + faint
     beyond = (np.abs(mean) - SIGMAS * error) / np.maximum(local, 1e-30)
-    return float(beyond.max(initial=0.0, where=pixels >= least))
+    return float(beyond.max(initial=0.0, where=np.broadcast_to(pixels >= least, beyond.shape)))
 
 
-def _blocks(values: Float32) -> Blocks:
+def _blocks(values: NDArray[np.generic], where: Mask | None = None) -> Blocks:
     """Add up over blocks of the smallest side; the picture is filled up with zeros to whole blocks of the largest."""
     height, width, channels = values.shape
     rows, columns = (-(-side // SIDES[-1]) * SIDES[-1] for side in (height, width))
     whole = np.zeros((rows, columns, channels), np.float64)
-    whole[:height, :width] = values
+    whole[:height, :width] = values if where is None else np.where(where[..., None], values, 0)
     side = SIDES[0]
     return whole.reshape(rows // side, side, columns // side, side, channels).sum(axis=(1, 3))
 

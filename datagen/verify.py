@@ -175,7 +175,7 @@ def _denoised(view: ViewData) -> Iterator[str]:
             layers[f"{variant}.{light}"] = pair
     anywhere = np.ones(view.combined.shape[:2], bool)
     for name, pair in layers.items():
-        if (far := residual(*pair, anywhere, least_side=SIDES[-1])) > FAR:
+        if (far := residual(*pair, anywhere, least_side=SIDES[-1])[0]) > FAR:
             yield f"{name} differs from what was rendered by {far:.2f} more than noise explains (limit {FAR})"
 
 

@@ -82,7 +82,7 @@ def _denoised(
 ) -> tuple[dict[str, Float32], dict[str, Residuals]]:
     clean = denoise_all(everything, threads=threads)
     anywhere = np.ones(clean.shape[1:3], bool)
-    left = (residual(layer, raw, anywhere) for layer, raw in zip(clean, everything.radiance, strict=True))
+    left = (residual(layer, raw, anywhere)[0] for layer, raw in zip(clean, everything.radiance, strict=True))
     variants, residuals = {"all": clean}, {"all": Residuals(outside=_largest(everything.lights, left))}
     for name, stack in without.items():
         removed = denoise_without(

@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from datagen.residuals import FAINT, GREY, noise_variance, residual
+from datagen import residuals
+from datagen.residuals import FAINT, GREY, noise_variance
+
+
+def residual(stored: np.ndarray, rendered: np.ndarray, where: np.ndarray) -> float:
+    return residuals.residual(stored, rendered, where)[0]
+
 
 EVERYWHERE = np.ones((96, 128), bool)
 
