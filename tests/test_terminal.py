@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -65,6 +66,15 @@ def test_refused_memory_is_one_line_and_leaves_nothing(tmp_path: Path) -> None:
     assert not (tmp_path / "d").exists()
 
 
+@pytest.fixture
+def heard() -> Iterator[None]:
+    """Hanging up ends what is started, whatever started the tests (`nohup`, say, has it ignored)."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.usefixtures("heard")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_signals_stop_workers_and_say_so(number: signal.Signals, tmp_path: Path) -> None:
     semaphores = {path.name for path in Path("/dev/shm").glob("sem.mp-*")}
