@@ -16,6 +16,7 @@ import polars as pl
 
 from datagen.copies import Copy, files_of, making, whole_folder
 from datagen.errors import StoreError, UserError
+from datagen.index import index_bytes
 from datagen.manifest import FileEntry, scene_part
 from datagen.packed import PackedView, pack_view, read_packed, value_fault, write_packed
 from datagen.source import DatasetSource, open_dataset
@@ -109,11 +110,8 @@ def _finish(source: DatasetSource, copy: Copy, made: int) -> Packed:
             rows += visible_rows(record, number, read_packed(path))
             views, native, packed = views + 1, native + view.bytes, packed + path.stat().st_size
     _copy(source, "dataset.json", copy.root)
-    try:
-        _copy(source, "index.parquet", copy.root)
-    except (StoreError, FileNotFoundError):  # of a dataset that is not finished it is made up
-        with write_whole(copy.root / "index.parquet") as work:
-            source.table.write_parquet(work)
+    with write_whole(copy.root / "index.parquet") as work:
+        work.write_bytes(index_bytes(source.table))  # as it was read: the file may be damaged, or not there yet
     with write_whole(copy.root / VISIBLE) as work:
         pl.DataFrame(rows).write_parquet(work)
     copy.finish("dataset.json", "index.parquet", VISIBLE)
