@@ -1,12 +1,15 @@
 """The asset cache heals itself: whatever is damaged in it is thrown away, counted, said once, and made anew."""
 
+import contextlib
 import pickle
+import random
 import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from datagen.cli import main
 from scenes.assets import cache
@@ -45,6 +48,18 @@ def flipped(path: Path) -> None:
     path.write_bytes(content)
 
 
+def blank(path: Path) -> None:
+    """Fill a part of a PNG with zeros that Pillow decodes without a word, to other pixels."""
+    whole = path.read_bytes()
+    rng = random.Random(3)
+    while True:
+        start = rng.randrange(len(whole) * 3 // 4, len(whole) - 80)
+        path.write_bytes(whole[:start] + bytes(40) + whole[start + 40 :])
+        with contextlib.suppress(OSError, SyntaxError), Image.open(path) as picture:
+            picture.load()
+            return
+
+
 DAMAGES: dict[str, Callable[[Path], object]] = {
     "cut": lambda path: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]),
     "empty": lambda path: path.write_bytes(b""),
@@ -53,6 +68,7 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
     "text": lambda path: path.write_text("[]"),
     "folder": as_folder,
     "flipped": flipped,
+    "blank": blank,
 }
 
 
@@ -85,7 +101,7 @@ def use(folder: Path) -> dict[str, object]:
 CASES = {
     "index/*.json": ("cut", "npy", "folder"),
     "meshes/**/*.npz": ("cut", "empty", "pickle", "npy", "text", "folder", "flipped"),
-    "textures/**/metal-brushed.png": ("cut", "pickle", "flipped"),
+    "textures/**/metal-brushed.png": ("cut", "pickle", "flipped", "blank"),
     "environments/**/*.exr": ("cut", "empty"),
 }
 

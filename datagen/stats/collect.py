@@ -76,7 +76,7 @@ def measure_dataset(root: Path, library: AssetLibrary, report: Report) -> Summar
         record = source.scene(index)
         found = scene_facts(record.scene, record.rig, record.split, library)
         facts.append(replace(found, values=found.values | picture_values(scene_dir(root, index), record)))
-        hashes.append(picture_hash(read_preview(scene_dir(root, index))))
+        hashes.append(picture_hash(read_preview(scene_dir(root, index), record)))
         report(number + 1, len(source.indices))
     return summarize(f"{root.name}: {len(facts)} scenes", facts, hashes)
 

@@ -9,25 +9,29 @@ from PIL import Image
 from datagen.errors import StoreError
 from datagen.records import SceneRecord
 from datagen.stats.facts import Values
-from datagen.store import file_inside, read_view
+from datagen.store import file_inside, file_sha256, read_view
 from lights.tonemap import luminance
 from scenes.limits import open_picture
 
 Float64 = NDArray[np.float64]
 
 
-def read_preview(folder: Path) -> Image.Image:
-    """Read a scene's preview (RGB); raises `StoreError` where it is missing or damaged."""
+def read_preview(folder: Path, record: SceneRecord) -> Image.Image:
+    """Read a scene's preview (RGB); raises `StoreError` where it is missing or not as it was written."""
+    path = file_inside(folder, "preview.png")
     try:
-        with open_picture(file_inside(folder, "preview.png")) as image:
+        # By the record: Pillow decodes much that is damaged without a word.
+        if record.preview_sha256 and file_sha256(path) != record.preview_sha256:
+            raise StoreError(f"{path} is damaged or replaced: its hash is not the one that scene.json states")
+        with open_picture(path) as image:
             return image.convert("RGB")
     except (OSError, ValueError, SyntaxError) as error:
-        raise StoreError(f"{folder / 'preview.png'} cannot be read: {error}") from None
+        raise StoreError(f"{path} cannot be read: {error}") from None
 
 
 def picture_values(folder: Path, record: SceneRecord) -> Values:
     """Measure the preview (all lights on, as displayed) and the radiance of the first and the last view."""
-    preview = np.asarray(read_preview(folder), np.float64)
+    preview = np.asarray(read_preview(folder, record), np.float64)
     tiles = np.array_split(preview, min(4, len(record.views)), axis=1)
     ends = sorted({0, len(record.views) - 1})
     targets = (read_view(file_inside(folder, record.views[view].file), (record, view)).combined for view in ends)
