@@ -80,7 +80,7 @@ endif
 
 .venv/installed: .venv/python pyproject.toml constraints.txt
 	$(PIP) -e '.[render]'
-	@$(BIN)/python -c 'from datagen.backends import blender; import drjit' 2>/dev/null || $(MAKE) system-libraries
+	@$(BIN)/python -c 'from multilight.datagen.backends import blender; import drjit' 2>/dev/null || $(MAKE) system-libraries
 	touch $@
 
 .venv/installed-train: .venv/installed

@@ -31,7 +31,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from datagen.cli import main as command_line
+from multilight.datagen.cli import main as command_line
 
 SETTINGS = [
     "--kind",
@@ -344,7 +344,7 @@ def killed(bench: Bench, number: signal.Signals, group: bool, rng: random.Random
     """Send a signal at a random moment, continue, and compare with an undisturbed run."""
     root = bench.folder / "killed"
     shutil.rmtree(root, ignore_errors=True)
-    words = [sys.executable, "-m", "datagen", *map(str, dataset(root, scenes))]
+    words = [sys.executable, "-m", "multilight", *map(str, dataset(root, scenes))]
     process = subprocess.Popen(
         words, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True
     )
@@ -387,7 +387,7 @@ def full_disk(bench: Bench, command: str, kilobytes: int) -> str:
         out = disk or bench._fresh("out")
         case, place = readers(bench.place, out)[command] if command != "dataset" else (dataset(out / "d"), out / "d")
         limit = "" if disk else f"ulimit -f {kilobytes // 8}; "
-        line = " ".join([sys.executable, "-m", "datagen", *map(str, case)])
+        line = " ".join([sys.executable, "-m", "multilight", *map(str, case)])
         done = subprocess.run(
             ["bash", "-c", limit + line], cwd=ROOT, capture_output=True, text=True, timeout=300, check=False
         )
@@ -414,7 +414,7 @@ def closed_streams(bench: Bench, command: str, how: str) -> str:
     bench.restore()
     out = bench._fresh("out")
     case, _ = readers(bench.place, out)[command] if command != "dataset" else (dataset(out / "d"), None)
-    line = " ".join([sys.executable, "-m", "datagen", *map(str, case)])
+    line = " ".join([sys.executable, "-m", "multilight", *map(str, case)])
     done = subprocess.run(
         ["bash", "-c", f"{line} {how}; exit ${{PIPESTATUS[0]}}"],
         cwd=ROOT,

@@ -5,14 +5,14 @@ from typing import Any, Protocol
 import bpy
 import numpy as np
 
-from datagen.backends import RenderJob, RenderSettings
-from datagen.backends.blender.backend import BlenderBackend, _hidden
-from datagen.backends.blender.film import beauty_filter, render_passes
-from datagen.backends.blender.scene import place_camera
-from datagen.layers import Float32
-from lights.rigs import scaled
-from lights.spec import LightingCondition, LightRig
-from scenes.spec import SceneSpec
+from multilight.datagen.backends.blender.backend import BlenderBackend, _hidden
+from multilight.datagen.backends.blender.film import beauty_filter, render_passes
+from multilight.datagen.backends.blender.scene import place_camera
+from multilight.datagen.backends.protocol import RenderJob, RenderSettings
+from multilight.datagen.storage.layers import Float32
+from multilight.lights.rigs.sample import scaled
+from multilight.lights.spec import LightingCondition, LightRig
+from multilight.scenes.spec import SceneSpec
 
 
 class Case(Protocol):

@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 import tyro
 
-from datagen.backends import RenderJob, RenderSettings
-from datagen.backends.mitsuba import MitsubaBackend
-from datagen.backends.mitsuba.integrator import World
-from datagen.backends.mitsuba.surfaces import Soup
-from datagen.config import DatasetConfig
-from datagen.produce import sample_scene
-from scenes.assets.library import AssetLibrary
-from scenes.streams import Streams
+from multilight.datagen.backends.mitsuba import MitsubaBackend
+from multilight.datagen.backends.mitsuba.integrator import World
+from multilight.datagen.backends.mitsuba.surfaces import Soup
+from multilight.datagen.backends.protocol import RenderJob, RenderSettings
+from multilight.datagen.config.dataset import DatasetConfig
+from multilight.datagen.production.scene import sample_scene
+from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.streams import Streams
 
 import drjit as dr  # isort: skip
 import mitsuba as mi  # isort: skip

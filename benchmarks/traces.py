@@ -22,18 +22,19 @@ from scipy.ndimage import binary_dilation
 from scipy.stats import rankdata
 from torch import nn
 
-from datagen.backends import Backend, RenderJob, RenderSettings, open_backend, resolve_renderer
-from datagen.config import load_config
-from datagen.denoise import denoise_all, denoise_without
-from datagen.layers import Float32, LayerStack
-from datagen.presets import Preset
-from datagen.produce import contact_faults, sample_scene
-from datagen.residuals import Mask
-from datagen.views import shown_in
-from lights.spec import EmissiveLight, LightRig
-from scenes.assets.library import AssetLibrary
-from scenes.spec import SceneSpec
-from scenes.streams import Streams
+from multilight.datagen.backends.choose import open_backend, resolve_renderer
+from multilight.datagen.backends.protocol import Backend, RenderJob, RenderSettings
+from multilight.datagen.config.dataset import load_config
+from multilight.datagen.config.presets import Preset
+from multilight.datagen.production.denoise import denoise_all, denoise_without
+from multilight.datagen.production.scene import contact_faults, sample_scene
+from multilight.datagen.production.view import shown_in
+from multilight.datagen.storage.layers import Float32, LayerStack
+from multilight.datagen.verification.residuals import Mask
+from multilight.lights.spec import EmissiveLight, LightRig
+from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.spec import SceneSpec
+from multilight.scenes.streams import Streams
 
 SIDE = 8
 LEAST = 60  # pixels of a silhouette that is looked at

@@ -18,13 +18,13 @@ import torch
 import tyro
 from PIL import Image
 
-from datagen.packed import PackedView
-from datagen.training import TrainingSource, open_training
-from lights.tonemap import to_display
-from model.augment import PLAIN, centre_frame
-from model.data import MultiLightDataset, SampleSettings
-from model.data.dataset import framed_sample
-from model.data.mixing import mix_tuple
+from multilight.datagen.storage.packed import PackedView
+from multilight.datagen.storage.training_source import TrainingSource, open_training
+from multilight.lights.display.tonemap import to_display
+from multilight.model.data import MultiLightDataset, SampleSettings
+from multilight.model.data.augment import PLAIN, centre_frame
+from multilight.model.data.dataset import framed_sample
+from multilight.model.data.mixing import mix_tuple
 
 Place = tuple[int, int, str]
 

@@ -29,21 +29,22 @@ import numpy as np
 import tyro
 
 from benchmarks.one_by_one import OneByOne, grey_gains
-from datagen.backends import Backend, RendererName, RenderJob, RenderSettings, open_backend
-from datagen.config import DatasetConfig
-from datagen.denoise import denoise_all
-from datagen.layers import Float32
-from datagen.produce import sample_scene
-from datagen.stopwatch import Stopwatch
-from datagen.store import ViewData
-from datagen.views import Shoot, render_view
-from lights.conditions import sample_conditions
-from lights.relight import mix
-from lights.spec import LightingCondition, LightRig
-from lights.tonemap import meter_ev, to_display
-from scenes.assets.library import AssetLibrary
-from scenes.spec import SceneSpec
-from scenes.streams import Streams
+from multilight.datagen.backends.choose import open_backend
+from multilight.datagen.backends.protocol import Backend, RenderJob, RenderSettings
+from multilight.datagen.config.dataset import DatasetConfig, RendererName
+from multilight.datagen.production.denoise import denoise_all
+from multilight.datagen.production.scene import sample_scene
+from multilight.datagen.production.stopwatch import Stopwatch
+from multilight.datagen.production.view import Shoot, render_view
+from multilight.datagen.storage.layers import Float32
+from multilight.datagen.storage.store import ViewData
+from multilight.lights.conditions import sample_conditions
+from multilight.lights.display.tonemap import meter_ev, to_display
+from multilight.lights.relight import mix
+from multilight.lights.spec import LightingCondition, LightRig
+from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.spec import SceneSpec
+from multilight.scenes.streams import Streams
 
 LEAST_SPP = 8
 

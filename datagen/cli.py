@@ -8,9 +8,9 @@ from typing import Annotated, Any, Union
 
 import tyro
 
-from datagen.commands import export, import_scene, installed, look, make, pack, query
-from datagen.errors import UserError
-from datagen.terminal import (
+from multilight.datagen.commands import export, import_scene, installed, make, pack, query
+from multilight.datagen.commands import inspect as look
+from multilight.datagen.commands.terminal import (
     PIPE_BROKEN,
     EndedError,
     check_memory,
@@ -20,7 +20,8 @@ from datagen.terminal import (
     reason_of,
     signals_end_it,
 )
-from scenes.limits import shown
+from multilight.datagen.errors import UserError
+from multilight.scenes.files.limits import shown
 
 ABOUT = "Synthetic multi-light data for object compositing, harmonization, relighting and shadow generation."
 LONGEST_WORD = 4096
@@ -115,14 +116,14 @@ def _check_numbers(command: Any) -> None:
 
 def _tell_of_cache() -> None:
     """Say what was damaged in the asset cache."""
-    if cache := sys.modules.get("scenes.assets.cache"):  # slow to import, and few commands need it
+    if cache := sys.modules.get("multilight.scenes.assets.cache"):  # slow to import, and few commands need it
         cache.tell_thrown_away()
 
 
 def _told(error: Exception) -> str | None:
     """Say what a user can act on; None for a fault of the program."""
-    from datagen.backends import BackendError
-    from scenes.assets.info import AssetError
+    from multilight.datagen.backends.protocol import BackendError
+    from multilight.scenes.assets.info import AssetError
 
     match error:
         case UserError() | BackendError() | AssetError():

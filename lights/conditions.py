@@ -4,10 +4,10 @@ from itertools import combinations
 
 import numpy as np
 
-from lights.colour import gel_rgb, random_gel, temperature_to_rgb
-from lights.radiometry import rgb_from_scalar
-from lights.spec import LightingCondition, LightRig
-from scenes.frozen import Rgb
+from multilight.lights.photometry.colour import gel_rgb, random_gel, temperature_to_rgb
+from multilight.lights.photometry.radiometry import rgb_from_scalar
+from multilight.lights.spec import LightingCondition, LightRig
+from multilight.scenes.frozen import Rgb
 
 GAIN = 3.0
 """Gains are drawn between `1 / GAIN` and `GAIN`, evenly in their logarithm."""

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from lights.spec import LightingCondition
+from multilight.lights.spec import LightingCondition
 
 
 def gain_matrix(lights: Sequence[str], condition: LightingCondition) -> NDArray[np.float32]:

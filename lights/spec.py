@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, PositiveFloat, model_validator
 
-from scenes.frozen import Frozen, Matrix4, Rgb, Slug, Vector3
-from scenes.spec import Texture
+from multilight.scenes.frozen import Frozen, Matrix4, Rgb, Slug, Vector3
+from multilight.scenes.spec import Texture
 
 NonNegative = Annotated[float, Field(ge=0)]
 

@@ -1,10 +1,10 @@
 """The model's commands, by name; nothing here imports torch before a command runs."""
 
-from model.commands.ablate import Ablate
-from model.commands.evaluate import Evaluate
-from model.commands.harmonize import Harmonize
-from model.commands.insert import Insert
-from model.commands.train import Train
+from multilight.model.commands.ablate import Ablate
+from multilight.model.commands.evaluate import Evaluate
+from multilight.model.commands.harmonize import Harmonize
+from multilight.model.commands.insert import Insert
+from multilight.model.commands.train import Train
 
 COMMANDS: dict[str, type] = {
     "train": Train,

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.lib.npyio import NpzFile
 from numpy.typing import NDArray
 
-from scenes.frozen import Frozen
-from scenes.spec import Material, Rectangle, Sphere
-from scenes.whole import write_whole
+from multilight.scenes.files.whole import write_whole
+from multilight.scenes.frozen import Frozen
+from multilight.scenes.spec import Material, Rectangle, Sphere
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
-from scenes.frozen import Frozen, Matrix4, Rgb, Slug, UnitFloat
+from multilight.scenes.frozen import Frozen, Matrix4, Rgb, Slug, UnitFloat
 
 SceneKind = Literal["tabletop", "room", "outdoor", "studio", "custom", "spheres"]
 

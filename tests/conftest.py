@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from datagen.backends.variants import choose_variant, prepare_environment
-from datagen.cli import main
-from datagen.records import SceneRecord
-from datagen.store import ViewData, read_scene, read_view, scene_dir
+from multilight.datagen.backends.machine.variants import choose_variant, prepare_environment
+from multilight.datagen.cli import main
+from multilight.datagen.storage.records import SceneRecord
+from multilight.datagen.storage.store import ViewData, read_scene, read_view, scene_dir
 
 if TYPE_CHECKING:
-    from model.captures.capture import Capture
+    from multilight.model.captures.capture import Capture
 
 # Before any test imports Dr.Jit, which takes the first libLLVM it finds.
 prepare_environment(choose_variant())
@@ -84,6 +84,6 @@ def capture_folders(spheres_dataset: Path, tmp_path_factory: pytest.TempPathFact
 @pytest.fixture(scope="session")
 def capture(capture_folders: dict[str, Path]) -> "Capture":
     """The nerfstudio capture, read."""
-    from model.captures.read import read_capture  # torch is an extra
+    from multilight.model.captures.read import read_capture  # torch is an extra
 
     return read_capture(capture_folders["nerfstudio"])

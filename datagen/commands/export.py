@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 
 import tyro
 
-from datagen.commands import export_others
-from datagen.commands.export_usd import Usd
-from datagen.text import plain
+from multilight.datagen.commands import export_others
+from multilight.datagen.commands.export_usd import Usd
+from multilight.datagen.text import plain
 
 Part = Literal["2d-train", "2d-eval", "3d-train", "3d-eval", "all"]
 
@@ -37,8 +37,8 @@ class DtcMultilight:
 
     def run(self) -> int:
         """Write the roots and return the exit code: 1 where a scene failed."""
-        from datagen.export.dtc import DtcExport, export_dtc
-        from datagen.report import progress
+        from multilight.datagen.commands.output import progress
+        from multilight.datagen.export.dtc.export import DtcExport, export_dtc
 
         request = DtcExport(
             self.dir, self.out, self.part, self.conditions, self.exposures, self.size, self.map_size, self.workers

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from datagen.text import plain
+from multilight.datagen.text import plain
 
 if TYPE_CHECKING:
-    from datagen.export.capture import Write
-    from datagen.source import DatasetSource
+    from multilight.datagen.export.captures.capture import Write
+    from multilight.datagen.storage.source import DatasetSource
 
 
 @dataclass(kw_only=True)
@@ -32,8 +32,8 @@ class _Source:
     @contextmanager
     def opened(self) -> "Iterator[tuple[DatasetSource, Callable[[float, float], None]]]":
         """Open the dataset, show progress, and say at the end what was passed over."""
-        from datagen.report import progress
-        from datagen.source import open_dataset
+        from multilight.datagen.commands.output import progress
+        from multilight.datagen.storage.source import open_dataset
 
         source = open_dataset(self.dir, where=self.where, on_broken=self.on_broken)
         with progress("scenes") as report:
@@ -55,8 +55,8 @@ class Webdataset(_Source):
 
     def run(self) -> int:
         """Write the shards and return the exit code."""
-        from datagen.errors import UserError
-        from datagen.export.webdataset import ShardOptions, export_webdataset
+        from multilight.datagen.errors import UserError
+        from multilight.datagen.export.webdataset.export import ShardOptions, export_webdataset
 
         if self.pairs < 1 or self.shard_mb < 1:
             raise UserError(f"--pairs {self.pairs} and --shard-mb {self.shard_mb} must be 1 or more")
@@ -82,7 +82,7 @@ class _Captures(_Source):
 
     def write(self, kind: Literal["nerfstudio", "colmap"], one: "Write") -> int:
         """Write all captures with `one` and return the exit code."""
-        from datagen.export.capture import export_captures
+        from multilight.datagen.export.captures.capture import export_captures
 
         with self.opened() as (source, report):
             count = export_captures(
@@ -98,7 +98,7 @@ class Nerfstudio(_Captures):
 
     def run(self) -> int:
         """Write the captures and return the exit code."""
-        from datagen.export.nerfstudio import write_nerfstudio
+        from multilight.datagen.export.captures.nerfstudio import write_nerfstudio
 
         return self.write("nerfstudio", write_nerfstudio)
 
@@ -109,7 +109,7 @@ class Colmap(_Captures):
 
     def run(self) -> int:
         """Write the captures and return the exit code."""
-        from datagen.export.colmap import write_colmap
+        from multilight.datagen.export.captures.colmap import write_colmap
 
         return self.write("colmap", write_colmap)
 
@@ -123,7 +123,7 @@ class Luxremix(_Source):
 
     def run(self) -> int:
         """Write the scenes and return the exit code."""
-        from datagen.export.luxremix import export_luxremix
+        from multilight.datagen.export.luxremix.export import export_luxremix
 
         with self.opened() as (source, report):
             outcome = export_luxremix(source, self.out, tar=self.tar, report=report)

@@ -6,7 +6,7 @@ from typing import Literal
 
 import tyro
 
-from datagen.text import plain
+from multilight.datagen.text import plain
 
 
 @dataclass
@@ -28,9 +28,9 @@ class Usd:
 
     def run(self) -> int:
         """Write the stages and return the exit code."""
-        from datagen.export.usd.write import export_usd
-        from datagen.report import progress
-        from datagen.source import open_dataset
+        from multilight.datagen.commands.output import progress
+        from multilight.datagen.storage.source import open_dataset
+        from multilight.datagen.usd.write import export_usd
 
         source = open_dataset(self.dir, where=self.where, on_broken=self.on_broken)
         with progress("scenes") as report:

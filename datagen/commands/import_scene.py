@@ -6,7 +6,7 @@ from typing import Literal
 
 import tyro
 
-from datagen.commands.make import Renderer, make_scenes
+from multilight.datagen.commands.make import Renderer, make_scenes
 
 
 @dataclass
@@ -30,9 +30,9 @@ class Import:
 
     def run(self) -> int:
         """Make the dataset and return the exit code."""
-        from datagen.background import open_library
-        from datagen.config import load_config
-        from datagen.export.usd.read import read_stage
+        from multilight.datagen.config.dataset import load_config
+        from multilight.datagen.production.library import open_library
+        from multilight.datagen.usd.read import read_stage
 
         values = {"kind": "imported", "background": self.file, "scenes": 1}
         values |= {"renderer": self.renderer, "spp": self.spp, "denoise": self.denoise}

@@ -5,7 +5,7 @@ from typing import Literal
 
 import tyro
 
-from datagen.presets import Preset
+from multilight.datagen.config.presets import Preset
 
 
 @dataclass
@@ -19,7 +19,7 @@ class Assets:
 
     def run(self) -> int:
         """Do it and return the exit code."""
-        from datagen import assets
+        from multilight.datagen.commands import assets
 
         match self.action:
             case "list":
@@ -43,7 +43,7 @@ class Config:
 
     def run(self) -> int:
         """Print and return the exit code."""
-        from datagen.config_table import print_config
+        from multilight.datagen.config.table import print_config
 
         return print_config(self.preset, as_json=self.json)
 
@@ -62,6 +62,6 @@ class Doctor:
 
     def run(self) -> int:
         """Examine, or fetch, and return the exit code."""
-        from datagen import doctor
+        from multilight.datagen.commands import doctor
 
         return doctor.fetch() if self.fetch else doctor.report(as_json=self.json)

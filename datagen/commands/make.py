@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from datagen.errors import StoreError, UserError
-from datagen.presets import Preset
-from datagen.text import plain
+from multilight.datagen.config.presets import Preset
+from multilight.datagen.errors import StoreError, UserError
+from multilight.datagen.text import plain
 
 if TYPE_CHECKING:
-    from datagen.config import DatasetConfig
+    from multilight.datagen.config.dataset import DatasetConfig
 
 Kind = Literal["tabletop", "room", "outdoor", "studio", "custom", "spheres", "imported", "mixed"]
 Renderer = Literal["auto", "mitsuba", "cycles", "analytic"]
@@ -60,8 +60,8 @@ class _Options:
 
     def configuration(self, *, scenes: int | None) -> "DatasetConfig":
         """Return what to make: what is given, over the dataset's own settings where it is there, else the defaults."""
-        from datagen.config import load_config
-        from datagen.store import read_dataset
+        from multilight.datagen.config.dataset import load_config
+        from multilight.datagen.storage.store import read_dataset
 
         values, below = self.values() | {"scenes": scenes}, {}
         if (self.out / "dataset.json").exists():
@@ -117,9 +117,9 @@ def make_scenes(
     repair: bool = False,
 ) -> int:
     """Make what is missing or damaged of these scenes of a dataset, say how it went, and return the exit code."""
-    from datagen.dataset import Plan, default_workers, make_dataset
-    from datagen.doctor import slow_note
-    from datagen.report import progress
+    from multilight.datagen.commands.doctor import slow_note
+    from multilight.datagen.commands.output import progress
+    from multilight.datagen.production.dataset import Plan, default_workers, make_dataset
 
     if out.is_symlink() and not out.exists():
         raise UserError(f"--out {out} is a link that leads nowhere (to {out.readlink()}); make that folder first")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import tyro
 
-from datagen.errors import UserError
+from multilight.datagen.errors import UserError
 
 
 @dataclass
@@ -22,8 +22,8 @@ class Pack:
 
     def run(self) -> int:
         """Pack what is missing and return the exit code."""
-        from datagen.pack import pack_dataset
-        from datagen.report import progress
+        from multilight.datagen.commands.output import progress
+        from multilight.datagen.storage.pack import pack_dataset
 
         if self.workers is not None and self.workers < 1:
             raise UserError(f"--workers {self.workers} must be 1 or more")

@@ -48,7 +48,7 @@ class Query:
 
     def run(self) -> int:
         """Print and return the exit code."""
-        from datagen.look_up import describe, print_rows, query
+        from multilight.datagen.commands.look_up import describe, print_rows, query
 
         if self.describe:
             return describe(as_json=self.json)

@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from datagen.records import AssetCredit
-from datagen.text import markdown
+from multilight.datagen.storage.records import AssetCredit
+from multilight.datagen.text import markdown
 
 
 def credit_lines(credits: Sequence[AssetCredit]) -> list[str]:

@@ -8,18 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from datagen.config import DatasetConfig
-from datagen.errors import UserError
-from datagen.produce import sample_scene
-from datagen.source import open_dataset
-from datagen.stats.duplicates import Bits, Pair, alike_in_content, alike_in_picture, picture_hash
-from datagen.stats.facts import SceneFacts, scene_facts
-from datagen.stats.pictures import picture_values, read_preview
-from datagen.stats.quantities import QUANTITIES, Coverage, Quantity, Value, coverage_of
-from datagen.store import scene_dir
-from scenes.assets.library import AssetLibrary
-from scenes.splits import SPLITS, Split
-from scenes.streams import Streams
+from multilight.datagen.config.dataset import DatasetConfig
+from multilight.datagen.errors import UserError
+from multilight.datagen.production.scene import sample_scene
+from multilight.datagen.stats.duplicates import Bits, Pair, alike_in_content, alike_in_picture, picture_hash
+from multilight.datagen.stats.facts import SceneFacts, scene_facts
+from multilight.datagen.stats.pictures import picture_values, read_preview
+from multilight.datagen.stats.quantities import QUANTITIES, Coverage, Quantity, Value, coverage_of
+from multilight.datagen.storage.source import open_dataset
+from multilight.datagen.storage.store import scene_dir
+from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.assets.splits import SPLITS, Split
+from multilight.scenes.streams import Streams
 
 Report = Callable[[float, float], None]
 

@@ -6,18 +6,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.stats.quantities import Value
-from lights.irradiance import StillLife
-from lights.measure import LightMeasure, measure_light
-from lights.spec import EnvironmentLight, Light, LightRig
-from scenes.assets.library import AssetLibrary
-from scenes.cameras import focal_length_mm, pixel_rays, project
-from scenes.looks import material_class
-from scenes.rays import SceneRays, body_triangles, surface_points
-from scenes.spec import Body, Camera, MeshAsset, SceneSpec, Sphere
-from scenes.splits import Split, asset_split
-from scenes.streams import Streams
-from scenes.trajectory import SEEN, in_frame
+from multilight.datagen.stats.quantities import Value
+from multilight.lights.photometry.irradiance import StillLife
+from multilight.lights.rigs.measure import LightMeasure, measure_light
+from multilight.lights.spec import EnvironmentLight, Light, LightRig
+from multilight.scenes.appearance import material_class
+from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.assets.splits import Split, asset_split
+from multilight.scenes.cameras.pinhole import focal_length_mm, pixel_rays, project
+from multilight.scenes.cameras.trajectory import SEEN, in_frame
+from multilight.scenes.geometry.rays import SceneRays, body_triangles, surface_points
+from multilight.scenes.spec import Body, Camera, MeshAsset, SceneSpec, Sphere
+from multilight.scenes.streams import Streams
 
 POINTS = 48
 """Points on an insertable object's surface that are looked for."""

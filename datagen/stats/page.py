@@ -7,13 +7,13 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from datagen.errors import full_disk_told
-from datagen.outputs import check_folder
-from datagen.stats.collect import Summary, quantiles
-from datagen.stats.plots import bar_plot, direction_plot
-from datagen.stats.quantities import Quantity
-from datagen.store import write_text
-from datagen.text import page, terminal
+from multilight.datagen.errors import full_disk_told
+from multilight.datagen.files.outputs import check_folder
+from multilight.datagen.stats.collect import Summary, quantiles
+from multilight.datagen.stats.plots import bar_plot, direction_plot
+from multilight.datagen.stats.quantities import Quantity
+from multilight.datagen.storage.store import write_text
+from multilight.datagen.text import page, terminal
 
 MOST_PAIRS = 100
 """Near-duplicates that the page lists; `stats.json` holds all."""

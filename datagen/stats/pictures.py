@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from datagen.errors import StoreError
-from datagen.records import SceneRecord
-from datagen.stats.facts import Values
-from datagen.store import file_inside, file_sha256, read_view
-from lights.tonemap import luminance
-from scenes.limits import open_picture
+from multilight.datagen.errors import StoreError
+from multilight.datagen.stats.facts import Values
+from multilight.datagen.storage.records import SceneRecord
+from multilight.datagen.storage.store import file_inside, file_sha256, read_view
+from multilight.lights.display.tonemap import luminance
+from multilight.scenes.files.limits import open_picture
 
 Float64 = NDArray[np.float64]
 

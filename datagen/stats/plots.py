@@ -11,8 +11,8 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, NullLocator
 
-from datagen.stats.quantities import Coverage, Quantity, Value
-from datagen.text import plain
+from multilight.datagen.stats.quantities import Coverage, Quantity, Value
+from multilight.datagen.text import plain
 
 BAR, PALE, INK, EDGE = "#3b6ea5", "#e8edf3", "#333a42", "#c9d1da"
 MOST_WORDS = 18

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from scenes.splits import SPLITS
+from multilight.scenes.assets.splits import SPLITS
 
 Value = float | str
 Section = Literal["scenes", "objects", "lights", "cameras", "pictures"]

@@ -8,16 +8,16 @@ import trimesh
 from numpy.typing import NDArray
 from PIL import Image
 
-from datagen.errors import UserError
-from lights.tonemap import srgb_decode
-from scenes.assets.beside import load_scene
-from scenes.assets.cleaning import Z_UP_FROM_Y_UP, clean_mesh, transformed
-from scenes.assets.folder import SUFFIXES
-from scenes.assets.gltf import raw_part
-from scenes.assets.library import AssetError, AssetLibrary
-from scenes.limits import open_picture
-from scenes.meshes import Mesh
-from scenes.spec import Texture
+from multilight.datagen.errors import UserError
+from multilight.lights.display.tonemap import srgb_decode
+from multilight.scenes.assets.formats.beside import load_scene
+from multilight.scenes.assets.formats.cleaning import Z_UP_FROM_Y_UP, clean_mesh, transformed
+from multilight.scenes.assets.formats.gltf import raw_part
+from multilight.scenes.assets.library import AssetError, AssetLibrary
+from multilight.scenes.assets.packs.folder import SUFFIXES
+from multilight.scenes.files.limits import open_picture
+from multilight.scenes.meshes import Mesh
+from multilight.scenes.spec import Texture
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]

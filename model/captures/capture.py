@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.errors import UserError
-from model.captures.lenses import Lens, undistorted
-from model.pictures import read_depth, resized
-from scenes.cameras import matrix4, reprojection_error
-from scenes.limits import open_picture
-from scenes.spec import Camera
+from multilight.datagen.errors import UserError
+from multilight.model.captures.lenses import Lens, undistorted
+from multilight.model.inference.pictures import read_depth, resized
+from multilight.scenes.cameras.pinhole import matrix4, reprojection_error
+from multilight.scenes.files.limits import open_picture
+from multilight.scenes.spec import Camera
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
@@ -148,7 +148,7 @@ def _read(shot: Shot) -> tuple[Camera, Float32, Float32 | None]:
 def _read_depth(path: Path) -> Float32:
     if path.suffix != ".bin":
         return read_depth(path)
-    from model.captures.colmap import read_dense  # pycolmap is an extra
+    from multilight.model.captures.colmap import read_dense  # pycolmap is an extra
 
     return read_dense(path)
 

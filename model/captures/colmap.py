@@ -7,11 +7,11 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
-from datagen.errors import UserError
-from model.captures.capture import Capture, Shot, load_shots
-from model.captures.lenses import Lens
-from scenes.cameras import opencv_from_opengl
-from scenes.inside import OutsideError, inside
+from multilight.datagen.errors import UserError
+from multilight.model.captures.capture import Capture, Shot, load_shots
+from multilight.model.captures.lenses import Lens
+from multilight.scenes.cameras.pinhole import opencv_from_opengl
+from multilight.scenes.files.inside import OutsideError, inside
 
 Float64 = NDArray[np.float64]
 

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.errors import UserError
-from model.captures.capture import Capture
-from scenes.cameras import project
-from scenes.gaussian_ply import read_gaussians
-from scenes.spec import Camera
-from scenes.splatting import blending_weights
+from multilight.datagen.errors import UserError
+from multilight.model.captures.capture import Capture
+from multilight.scenes.cameras.pinhole import project
+from multilight.scenes.gaussians.ply import read_gaussians
+from multilight.scenes.gaussians.splatting import blending_weights
+from multilight.scenes.spec import Camera
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
@@ -71,7 +71,7 @@ def depth_of_gaussians(capture: Capture, path: Path) -> Float32:
 
 def depth_from_model(capture: Capture, path: Path) -> Float32:
     """Estimate each view's depth with an ONNX model, and bring it to the capture's unit by its sparse points."""
-    from model.depth import DepthModel
+    from multilight.model.inference.depth import DepthModel
 
     model = DepthModel.load(path)
     seen = capture.seen or tuple(np.arange(len(capture.points)) for _ in capture.cameras)

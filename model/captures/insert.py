@@ -8,18 +8,18 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from datagen.errors import UserError
-from model.captures.capture import Capture
-from model.captures.objects import ObjectView, PlacedObject
-from model.captures.planes import scene_centre
-from model.captures.trust import repaired, trust
-from model.compositing2d import Compositing2D
-from model.compositing3d import Compositing3D, SceneNetwork, harmonize_scene
-from model.config3d import SLIM3D
-from model.depth import depth_from_metres
-from model.harmonize import harmonize
-from model.splat import splat_scene
-from scenes.gaussians import Gaussians
+from multilight.datagen.errors import UserError
+from multilight.model.captures.capture import Capture
+from multilight.model.captures.objects import ObjectView, PlacedObject
+from multilight.model.captures.planes import scene_centre
+from multilight.model.captures.trust import repaired, trust
+from multilight.model.configs.stage3d import SLIM3D
+from multilight.model.gaussians.splat_scene import splat_scene
+from multilight.model.inference.depth import depth_from_metres
+from multilight.model.inference.harmonize import harmonize
+from multilight.model.networks.compositing2d import Compositing2D
+from multilight.model.networks.compositing3d import Compositing3D, SceneNetwork, harmonize_scene
+from multilight.scenes.gaussians.from_views import Gaussians
 
 Float32 = NDArray[np.float32]
 Report = Callable[[int, int], None]

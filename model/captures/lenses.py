@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-from datagen.errors import UserError
-from scenes.cameras import matrix4
-from scenes.spec import Camera
+from multilight.datagen.errors import UserError
+from multilight.scenes.cameras.pinhole import matrix4
+from multilight.scenes.spec import Camera
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from datagen.errors import UserError
-from model.captures.capture import Capture, Shot, load_shots
-from model.captures.lenses import Lens
-from scenes.inside import inside
-from scenes.limits import open_picture, read_json, shown
+from multilight.datagen.errors import UserError
+from multilight.model.captures.capture import Capture, Shot, load_shots
+from multilight.model.captures.lenses import Lens
+from multilight.scenes.files.inside import inside
+from multilight.scenes.files.limits import open_picture, read_json, shown
 
 Json = dict[str, Any]
 

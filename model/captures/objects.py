@@ -7,11 +7,11 @@ from numpy.typing import NDArray
 from trimesh import Trimesh
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
-from lights.tonemap import srgb_decode, srgb_encode
-from model.captures.assets import Asset
-from scenes.cameras import pixel_rays, project
-from scenes.meshes import MeshPart
-from scenes.spec import Camera
+from multilight.lights.display.tonemap import srgb_decode, srgb_encode
+from multilight.model.captures.assets import Asset
+from multilight.scenes.cameras.pinhole import pixel_rays, project
+from multilight.scenes.meshes import MeshPart
+from multilight.scenes.spec import Camera
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from datagen.errors import UserError
-from model.captures.assets import Asset
-from model.captures.capture import Capture
-from model.captures.planes import find_plane, free_place, scene_centre, scene_up
-from scenes.limits import parse_json, read_text
+from multilight.datagen.errors import UserError
+from multilight.model.captures.assets import Asset
+from multilight.model.captures.capture import Capture
+from multilight.model.captures.planes import find_plane, free_place, scene_centre, scene_up
+from multilight.scenes.files.limits import parse_json, read_text
 
 Float64 = NDArray[np.float64]
 

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from datagen.errors import UserError
-from model.captures.capture import Capture
-from scenes.cameras import unproject
+from multilight.datagen.errors import UserError
+from multilight.model.captures.capture import Capture
+from multilight.scenes.cameras.pinhole import unproject
 
 Float64 = NDArray[np.float64]
 

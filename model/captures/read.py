@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from datagen.errors import UserError
-from model.captures.capture import Capture
-from model.captures.nerfstudio import read_nerfstudio
+from multilight.datagen.errors import UserError
+from multilight.model.captures.capture import Capture
+from multilight.model.captures.nerfstudio import read_nerfstudio
 
 
 def read_capture(path: Path, *, max_side: int = 512, every: int = 1) -> Capture:
@@ -21,7 +21,7 @@ def read_capture(path: Path, *, max_side: int = 512, every: int = 1) -> Capture:
         if file.suffix != ".json":
             raise UserError(f"{file} is not a capture; give its folder, or its transforms.json")
         return read_nerfstudio(file, max_side=max_side, every=every)
-    from model.captures import colmap  # pycolmap is an extra
+    from multilight.model.captures import colmap  # pycolmap is an extra
 
     model = colmap.colmap_model(path)
     if model is not None:

@@ -7,22 +7,22 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen.errors import UserError, full_disk_told
-from datagen.outputs import check_folder, written
-from datagen.store import write_text
-from model.captures.assets import load_asset
-from model.captures.capture import Capture, check_alignment
-from model.captures.depths import with_depth
-from model.captures.insert import Harmonized, Inserted, harmonize_capture, insert_object
-from model.captures.objects import PlacedObject
-from model.captures.placing import Wish, placed
-from model.captures.planes import scene_up
-from model.captures.read import read_capture
-from model.captures.video import orbit_cameras, render_gaussians, write_video
-from model.checkpoint import load_network, load_network3d
-from model.harmonize import DEFAULT_WEIGHTS, chosen_device
-from model.pictures import write_picture
-from scenes.gaussian_ply import write_gaussians
+from multilight.datagen.errors import UserError, full_disk_told
+from multilight.datagen.files.outputs import check_folder, written
+from multilight.datagen.storage.store import write_text
+from multilight.model.captures.assets import load_asset
+from multilight.model.captures.capture import Capture, check_alignment
+from multilight.model.captures.depths import with_depth
+from multilight.model.captures.insert import Harmonized, Inserted, harmonize_capture, insert_object
+from multilight.model.captures.objects import PlacedObject
+from multilight.model.captures.placing import Wish, placed
+from multilight.model.captures.planes import scene_up
+from multilight.model.captures.read import read_capture
+from multilight.model.captures.video import orbit_cameras, render_gaussians, write_video
+from multilight.model.inference.harmonize import DEFAULT_WEIGHTS, chosen_device
+from multilight.model.inference.pictures import write_picture
+from multilight.model.networks.checkpoint import load_network, load_network3d
+from multilight.scenes.gaussians.ply import write_gaussians
 
 MOST_FRAMES = 10_000
 MOST_SIDE = 2048

@@ -8,12 +8,12 @@ import imageio_ffmpeg
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.errors import UserError
-from model.pictures import to_bytes
-from scenes.cameras import look_at, matrix4
-from scenes.gaussians import Gaussians
-from scenes.spec import Camera
-from scenes.splatting import blending_weights
+from multilight.datagen.errors import UserError
+from multilight.model.inference.pictures import to_bytes
+from multilight.scenes.cameras.pinhole import look_at, matrix4
+from multilight.scenes.gaussians.from_views import Gaussians
+from multilight.scenes.gaussians.splatting import blending_weights
+from multilight.scenes.spec import Camera
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]

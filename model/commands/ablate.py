@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Literal
 
 import tyro
 
-from datagen.errors import UserError
-from scenes.splits import Split
+from multilight.datagen.errors import UserError
+from multilight.scenes.assets.splits import Split
 
 if TYPE_CHECKING:
-    from model.ablations import AblationSettings
-    from model.evaluation import Evaluation
+    from multilight.model.ablations.run import AblationSettings
+    from multilight.model.evaluation.run import Evaluation
 
 TITLES = {
     "head": "What the 2D network predicts",
@@ -62,8 +62,8 @@ class Ablate:
 
     def run(self) -> int:
         """Train, evaluate, write and print the table, and return the exit code."""
-        from model.ablations import ablate, base_values
-        from model.ablations_table import write_tables
+        from multilight.model.ablations.run import ablate, base_values
+        from multilight.model.ablations.table import write_tables
 
         settings = self._settings()
         base = base_values(settings)
@@ -73,7 +73,7 @@ class Ablate:
         return 0
 
     def _settings(self) -> "AblationSettings":
-        from model.ablations import AblationSettings
+        from multilight.model.ablations.run import AblationSettings
 
         if self.steps is not None and self.minutes is not None:
             raise UserError("say either --steps or --minutes")
@@ -87,7 +87,7 @@ class Ablate:
         """Say what was trained and evaluated on what."""
         import torch
 
-        from model.ablations import chosen_scenes
+        from multilight.model.ablations.run import chosen_scenes
 
         counts = {split: len(chosen_scenes(self.dataset, f"split = '{split}'")) for split in ("train", *self.splits)}
         batch = f"batch {self.batch}" if self.name != "order" else "one object of one scene in 3 views a step"

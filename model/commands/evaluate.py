@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import tyro
 
-from datagen.errors import UserError
-from scenes.splits import Split
+from multilight.datagen.errors import UserError
+from multilight.scenes.assets.splits import Split
 
 if TYPE_CHECKING:
-    from model.evaluation_cases import LazyGroup
+    from multilight.model.evaluation.cases import LazyGroup
 
 
 @dataclass
@@ -49,13 +49,13 @@ class Evaluate:
 
     def run(self) -> int:
         """Evaluate, write the pages, print the main table, and return the exit code."""
-        from datagen.outputs import check_folder
-        from datagen.report import progress
-        from model.evaluation import evaluate, methods_of
-        from model.evaluation_page import markdown, tables_of, write_evaluation
-        from model.evaluation_scenes import scene_method
-        from model.harmonize import DEFAULT_WEIGHTS, network_harmonizer
-        from model.lpips import Lpips
+        from multilight.datagen.commands.output import progress
+        from multilight.datagen.files.outputs import check_folder
+        from multilight.model.evaluation.lpips import Lpips
+        from multilight.model.evaluation.method3d import scene_method
+        from multilight.model.evaluation.page import markdown, tables_of, write_evaluation
+        from multilight.model.evaluation.run import evaluate, methods_of
+        from multilight.model.inference.harmonize import DEFAULT_WEIGHTS, network_harmonizer
 
         if self.refine_iterations and (self.weights_3d is None or min(self.refine_iterations) < 1):
             raise UserError(
@@ -84,10 +84,10 @@ class Evaluate:
         return 0
 
     def _groups(self) -> "list[LazyGroup]":
-        from model.depth import DepthModel
-        from model.evaluation_cases import CaseSettings, dataset_groups
-        from model.foreign import foscom_groups
-        from model.foreign_owl import owl_groups
+        from multilight.model.evaluation.cases import CaseSettings, dataset_groups
+        from multilight.model.evaluation.foscom import foscom_groups
+        from multilight.model.evaluation.objects_with_lighting import owl_groups
+        from multilight.model.inference.depth import DepthModel
 
         if sum(place is not None for place in (self.dir, self.owl, self.foscom)) != 1:
             raise UserError("say what to evaluate on: a dataset (multilight evaluate DIR), --owl DIR or --foscom DIR")
@@ -103,7 +103,7 @@ class Evaluate:
         """Say what was evaluated on what."""
         import torch
 
-        from datagen.store import file_sha256
+        from multilight.datagen.storage.store import file_sha256
 
         place = str(self.dir or self.owl or self.foscom)
         facts = {"data": place, "frames": str(frames), "torch": torch.__version__, "device": self.device}

@@ -27,7 +27,7 @@ class Harmonize:
 
     def run(self) -> int:
         """Harmonize and return the exit code."""
-        from model.harmonize import DEFAULT_WEIGHTS, Files, harmonize_files
+        from multilight.model.inference.harmonize import DEFAULT_WEIGHTS, Files, harmonize_files
 
         files = Files(self.composite, self.background, self.mask, self.depth, self.depth_model)
         harmonize_files(files, self.weights or DEFAULT_WEIGHTS, self.out, self.device)

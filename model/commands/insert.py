@@ -52,12 +52,12 @@ class Insert:
 
     def run(self) -> int:
         """Insert, harmonize, write, and return the exit code."""
-        from model.captures.run import Sources, insert_into_files
+        from multilight.model.captures.run import Sources, insert_into_files
 
         sources = Sources(
             self.capture, self.asset, self.gaussians, self.depth_model, self.weights, self.weights_3d, self.device
         )
-        from model.captures.placing import Wish
+        from multilight.model.captures.placing import Wish
 
         wish = Wish(pose=self.pose, yaw=self.yaw, scale=self.scale, seed=self.seed)
         insert_into_files(

@@ -16,7 +16,7 @@ class Train:
     """
 
     config: tyro.conf.Positional[Path]
-    """TOML file; its keys are those of `model.config.TrainingConfig`, or `model.config3d.SceneTrainingConfig`."""
+    """TOML file; its keys are those of `TrainingConfig` or `SceneTrainingConfig` in `model.configs`."""
     out: Path | None = None
     """Folder of checkpoints, logs and weights (over the file's `out`)."""
     data: str | None = None
@@ -28,17 +28,17 @@ class Train:
 
     def run(self) -> int:
         """Train and return the exit code."""
-        from model.config import TrainingConfig, read_values, validated
-        from model.config3d import SceneTrainingConfig
+        from multilight.model.configs.stage2d import TrainingConfig, read_values, validated
+        from multilight.model.configs.stage3d import SceneTrainingConfig
 
         given = {"out": self.out, "data.train": self.data, "minutes": self.minutes}
         values = read_values(self.config, given)
         if "weights_2d" in values:
-            from model.training3d import train_scenes
+            from multilight.model.training.stage3d import train_scenes
 
             train_scenes(validated(values, SceneTrainingConfig, str(self.config)), fresh=self.fresh)
         else:
-            from model.training import train
+            from multilight.model.training.stage2d import train
 
             train(validated(values, TrainingConfig, str(self.config)), fresh=self.fresh)
         return 0

@@ -9,13 +9,22 @@ import torch
 from torch import Tensor
 from torch.utils.data import Dataset, IterableDataset, get_worker_info
 
-from datagen.packed import PackedView
-from datagen.training import open_training
-from model.augment import PLAIN, Frame, centre_frame, draw_camera, draw_frame, reframe, reframe_camera, resize
-from model.data.lighting import lit_conditions, tints
-from model.data.mixing import Pictures, mix_tuple
-from model.data.plan import Draw, Plan, places_of
-from model.data.settings import SampleSettings
+from multilight.datagen.storage.packed import PackedView
+from multilight.datagen.storage.training_source import open_training
+from multilight.model.data.augment import (
+    PLAIN,
+    Frame,
+    centre_frame,
+    draw_camera,
+    draw_frame,
+    reframe,
+    reframe_camera,
+    resize,
+)
+from multilight.model.data.lighting import lit_conditions, tints
+from multilight.model.data.mixing import Pictures, mix_tuple
+from multilight.model.data.plan import Draw, Plan, places_of
+from multilight.model.data.settings import SampleSettings
 
 Sample = dict[str, Any]
 """Tensors and `meta`, as `MultiLightDataset` describes them."""

@@ -8,10 +8,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from datagen.layers import Float32
-from datagen.packed import SAME, TILE, PackedView
-from lights.tonemap import srgb_encode
-from model.augment import Camera, respond
+from multilight.datagen.storage.layers import Float32
+from multilight.datagen.storage.packed import SAME, TILE, PackedView
+from multilight.lights.display.tonemap import srgb_encode
+from multilight.model.data.augment import Camera, respond
 
 
 @dataclass(frozen=True)
@@ -24,15 +24,15 @@ class Pictures:
     mask: Tensor
 
 
-SHOULDER, FADE = 0.6, 0.15  # as in `lights.tonemap.tone_curve`
+SHOULDER, FADE = 0.6, 0.15  # as in `lights.display.tonemap.tone_curve`
 STEPS = 1 << 14  # of the square root of radiance, in the table of display values
 
 
 def mix_tuple(view: PackedView, name: str, *, insert: Float32, base: Float32, camera: Camera) -> Pictures:
     """Mix the tuple of object `name`; `insert` and `base` are (L, 3) linear gains.
 
-    As `datagen.compose` does, but the background is worked out only in tiles where it differs from the target, the
-    composite only in those where the object covers something.
+    As `datagen.tuples.compose` does, but the background is worked out only in tiles where it differs from the target,
+    the composite only in those where the object covers something.
     """
     number, layers = view.objects.index(name), _Layers(view)
     insert, base = insert * camera.gain, base * camera.gain
@@ -56,7 +56,7 @@ def mix_tuple(view: PackedView, name: str, *, insert: Float32, base: Float32, ca
 def develop(radiance: Tensor, camera: Camera) -> Tensor:
     """Turn linear radiance (..., 3, h, w) into display values in [0, 1]: tone, sRGB and response curve.
 
-    The curves are `lights.tonemap.tone_curve`, without branches (at the shoulder it is the identity), and
+    The curves are `lights.display.tonemap.tone_curve`, without branches (at the shoulder it is the identity), and
     `srgb_encode`, from a table: within 5e-5, a hundredth of an 8-bit step. What is not a number stays none.
     `radiance` is overwritten.
     """

@@ -7,8 +7,8 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from datagen.errors import UserError
-from model.data.settings import SampleSettings
+from multilight.datagen.errors import UserError
+from multilight.model.data.settings import SampleSettings
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from datagen.errors import UserError
-from scenes.splits import Split
+from multilight.datagen.errors import UserError
+from multilight.scenes.assets.splits import Split
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,9 @@ from typing import TypeVar
 
 import OpenEXR
 
-from scenes.assets.info import AssetError
-from scenes.limits import open_picture
-from scenes.whole import write_whole
+from multilight.scenes.assets.info import AssetError
+from multilight.scenes.files.limits import open_picture
+from multilight.scenes.files.whole import write_whole
 
 T = TypeVar("T")
 _thrown_away: dict[Path, str] = {}

@@ -5,12 +5,12 @@ from typing import get_args
 
 import numpy as np
 
-from scenes.assets.environments import read_environment
-from scenes.assets.info import AssetError, AssetInfo, AssetRole
-from scenes.assets.library import AssetLibrary
-from scenes.limits import open_picture
-from scenes.meshes import Mesh
-from scenes.spec import Material
+from multilight.scenes.assets.environments import read_environment
+from multilight.scenes.assets.info import AssetError, AssetInfo, AssetRole
+from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.files.limits import open_picture
+from multilight.scenes.meshes import Mesh
+from multilight.scenes.spec import Material
 
 LARGEST = {"object": 3.0, "table": 6.0, "surrounding": 100.0}
 """Longest side [m] of what may pass for a model of each role."""

@@ -10,10 +10,10 @@ import numpy as np
 import OpenEXR
 from numpy.typing import NDArray
 
-from scenes.assets.cache import write_once
-from scenes.assets.info import AssetError, AssetInfo
-from scenes.limits import LimitError, check_file, check_pixels
-from scenes.meshes import Mesh
+from multilight.scenes.assets.cache import write_once
+from multilight.scenes.assets.info import AssetError, AssetInfo
+from multilight.scenes.files.limits import LimitError, check_file, check_pixels
+from multilight.scenes.meshes import Mesh
 
 LARGEST_HALF = 65504.0
 MOST_CHANNELS = 64

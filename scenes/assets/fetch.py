@@ -19,12 +19,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from scenes.assets.cache import default_cache, write_json
-from scenes.assets.environments import PMNDRS_MAPS, clean_copy, decode_pmndrs
-from scenes.assets.info import AssetError
-from scenes.assets.surfaces import convert_texture, surface_textures
-from scenes.assets.sweethome3d import LICENCES
-from scenes.limits import read_json
+from multilight.scenes.assets.cache import default_cache, write_json
+from multilight.scenes.assets.environments import PMNDRS_MAPS, clean_copy, decode_pmndrs
+from multilight.scenes.assets.info import AssetError
+from multilight.scenes.assets.packs.surfaces import convert_texture, surface_textures
+from multilight.scenes.assets.packs.sweethome3d import LICENCES
+from multilight.scenes.files.limits import read_json
 
 FURNITURE = "usr/share/sweethome3d/furniture"
 TIMEOUT = 1800.0

@@ -18,7 +18,7 @@ class AssetInfo:
     the stretch (x, y, 0) that one repeat of a texture covers. `place` names the real place of an environment
     map (splits go by place). `emissive_part` names the mesh part that may glow. `normal_map` is the id of the
     tangent-space normal map that goes with a texture (resolved by `AssetLibrary.texture_path`, +Y up), and
-    `roughness_map` that of its roughness map, whose mean is `scenes.assets.derived.MEAN_ROUGHNESS`.
+    `roughness_map` that of its roughness map, whose mean is `scenes.assets.derived_maps.MEAN_ROUGHNESS`.
     """
 
     id: str

@@ -8,18 +8,18 @@ from functools import cached_property
 from pathlib import Path
 from typing import Protocol
 
-from scenes.assets import derived
-from scenes.assets.background import BackgroundPack
-from scenes.assets.builtin import BuiltinPack
-from scenes.assets.cache import default_cache, read_kept
-from scenes.assets.environments import PmndrsPack
-from scenes.assets.fetch import SOURCES, is_fetched, pack_folder, pack_record
-from scenes.assets.folder import FolderPack
-from scenes.assets.info import AssetError, AssetInfo, AssetRole
-from scenes.assets.surfaces import SurfacePack
-from scenes.assets.sweethome3d import SweetHome3dPack
-from scenes.meshes import Mesh, load_mesh, save_mesh
-from scenes.splits import Split, in_split
+from multilight.scenes.assets import derived_maps as derived
+from multilight.scenes.assets.builtin.pack import BuiltinPack
+from multilight.scenes.assets.cache import default_cache, read_kept
+from multilight.scenes.assets.environments import PmndrsPack
+from multilight.scenes.assets.fetch import SOURCES, is_fetched, pack_folder, pack_record
+from multilight.scenes.assets.info import AssetError, AssetInfo, AssetRole
+from multilight.scenes.assets.packs.background import BackgroundPack
+from multilight.scenes.assets.packs.folder import FolderPack
+from multilight.scenes.assets.packs.surfaces import SurfacePack
+from multilight.scenes.assets.packs.sweethome3d import SweetHome3dPack
+from multilight.scenes.assets.splits import Split, in_split
+from multilight.scenes.meshes import Mesh, load_mesh, save_mesh
 
 __all__ = ["AssetError", "AssetInfo", "AssetLibrary", "AssetRole"]
 
@@ -111,7 +111,7 @@ class AssetLibrary:
         return {info.id: info for info in sorted(infos, key=lambda info: info.id)}
 
     def restricted(self, split: Split) -> "AssetLibrary":
-        """Return a view that lists, and hands out, only what scenes of a split may show (see `scenes.splits`)."""
+        """Return a view that lists, and hands out, only what scenes of a split may show (see `assets.splits`)."""
         view = copy.copy(self)
         view.split = split
         view.__dict__["_infos"] = {asset: info for asset, info in self._infos.items() if in_split(info, split)}

@@ -2,15 +2,15 @@
 
 import numpy as np
 
-from scenes.assets.derived import MEAN_ROUGHNESS
-from scenes.assets.finishes import class_of
-from scenes.assets.info import AssetInfo
-from scenes.assets.library import AssetLibrary
-from scenes.emission import emission_of
-from scenes.materials.classes import FINISHES, METALS, linear_from_hex, sample_material
-from scenes.materials.textured import pick_texture, textured
-from scenes.meshes import Mesh
-from scenes.spec import Material, Texture
+from multilight.scenes.assets.derived_maps import MEAN_ROUGHNESS
+from multilight.scenes.assets.formats.mtl import class_of
+from multilight.scenes.assets.info import AssetInfo
+from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.materials.classes import FINISHES, METALS, linear_from_hex, sample_material
+from multilight.scenes.materials.emission import emission_of
+from multilight.scenes.materials.textured import pick_texture, textured
+from multilight.scenes.meshes import Mesh
+from multilight.scenes.spec import Material, Texture
 
 GLOW = "glow"
 """Name of the material of a part that is meant to shine: the mark by which rigs find it."""

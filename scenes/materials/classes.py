@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scenes.frozen import Rgb
-from scenes.spec import Material
+from multilight.scenes.frozen import Rgb
+from multilight.scenes.spec import Material
 
 METALS: dict[str, Rgb] = {
     "titanium": (0.542, 0.497, 0.449),

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from scenes.assets.derived import MEAN_ROUGHNESS
-from scenes.assets.info import AssetInfo
-from scenes.assets.library import AssetLibrary
-from scenes.materials.classes import sample_material
-from scenes.meshes import MeshPart
-from scenes.spec import Material, Texture
+from multilight.scenes.assets.derived_maps import MEAN_ROUGHNESS
+from multilight.scenes.assets.info import AssetInfo
+from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.materials.classes import sample_material
+from multilight.scenes.meshes import MeshPart
+from multilight.scenes.spec import Material, Texture
 
 _LAID = ("board", "floor", "parquet", "plank")
 

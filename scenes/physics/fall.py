@@ -1,7 +1,7 @@
 """Rigid bodies that fall onto what stands still, by MuJoCo: where and how they come to rest.
 
 What stands still is seen from above, as a height field; what falls is made of the convex hulls of its pieces. That
-is close to the truth, not exact: `scenes.settle` corrects what comes out against the meshes themselves.
+is close to the truth, not exact: `scenes.physics.settle` corrects what comes out against the meshes themselves.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from trimesh import Trimesh
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
-from scenes.physics.solids import Placed, Solid
+from multilight.scenes.geometry.solids import Placed, Solid
 
 CELL = 0.004
 """Grid [m] of the height field."""

@@ -12,13 +12,13 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.backends import BackendError, RenderJob, split_variant
-from datagen.backends.analytic.lighting import check_lights, colour_of, exitance_share
-from datagen.backends.analytic.shapes import Ball, Float64, Shape, column, dot, shapes_of
-from datagen.layers import GeometryBuffers, LayerStack
-from lights.spec import EmissiveLight, EnvironmentLight, Light
-from scenes.cameras import pixel_rays
-from scenes.spec import Camera
+from multilight.datagen.backends.analytic.lighting import check_lights, colour_of, exitance_share
+from multilight.datagen.backends.analytic.shapes import Ball, Float64, Shape, column, dot, shapes_of
+from multilight.datagen.backends.protocol import BackendError, RenderJob, split_variant
+from multilight.datagen.storage.layers import GeometryBuffers, LayerStack
+from multilight.lights.spec import EmissiveLight, EnvironmentLight, Light
+from multilight.scenes.cameras.pinhole import pixel_rays
+from multilight.scenes.spec import Camera
 
 """Raised whenever the pictures change."""
 

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.backends import BackendError
-from datagen.backends.analytic.shapes import Ball, Float64, Plate, Shape, column, dot
-from lights.spec import EmissiveLight, EnvironmentLight, Light, LightRig, PointLight, SpotLight, SunLight
-from scenes.frozen import Rgb
-from scenes.spec import SceneSpec, Sphere
+from multilight.datagen.backends.analytic.shapes import Ball, Float64, Plate, Shape, column, dot
+from multilight.datagen.backends.protocol import BackendError
+from multilight.lights.spec import EmissiveLight, EnvironmentLight, Light, LightRig, PointLight, SpotLight, SunLight
+from multilight.scenes.frozen import Rgb
+from multilight.scenes.spec import SceneSpec, Sphere
 
 
 def check_lights(rig: LightRig, scene: SceneSpec) -> None:

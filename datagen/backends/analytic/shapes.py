@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.backends import BackendError
-from scenes.spec import Body, Material, MeshAsset, Rectangle, SceneSpec, Sphere
+from multilight.datagen.backends.protocol import BackendError
+from multilight.scenes.spec import Body, Material, MeshAsset, Rectangle, SceneSpec, Sphere
 
 Float64 = NDArray[np.float64]
 

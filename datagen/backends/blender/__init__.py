@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path, PurePath
 
-from datagen.backends.probe import load_in_any_order
+from multilight.datagen.backends.machine.probe import load_in_any_order
 
 if "bpy" not in sys.modules:
     # A process spawned by one that has Blender loaded inherits Blender's own search path, and the helper
@@ -12,6 +12,6 @@ if "bpy" not in sys.modules:
     # What `make system-libraries` unpacked where there was no root to install it.
     load_in_any_order([str(path) for path in sorted((Path(sys.prefix) / "system").rglob("lib*.so.*"))])
 
-from datagen.backends.blender.backend import BlenderBackend
+from multilight.datagen.backends.blender.backend import BlenderBackend
 
 __all__ = ["BlenderBackend"]

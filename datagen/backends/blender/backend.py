@@ -8,14 +8,14 @@ from typing import ClassVar, Self
 import bpy
 import numpy as np
 
-from datagen.backends import BackendError, RenderJob, RenderSettings, split_variant
-from datagen.backends.blender.film import Passes, beauty_filter, centre_filter, configure, render_passes
-from datagen.backends.blender.materials import ALBEDO_AOV, SURFACE_AOV
-from datagen.backends.blender.scene import SyncedScene, place_camera, projected_border
-from datagen.layers import Float32, GeometryBuffers, LayerStack
-from lights.spec import LightRig
-from scenes.assets.library import AssetLibrary
-from scenes.spec import Camera, SceneSpec
+from multilight.datagen.backends.blender.film import Passes, beauty_filter, centre_filter, configure, render_passes
+from multilight.datagen.backends.blender.materials import ALBEDO_AOV, SURFACE_AOV
+from multilight.datagen.backends.blender.scene import SyncedScene, place_camera, projected_border
+from multilight.datagen.backends.protocol import BackendError, RenderJob, RenderSettings, split_variant
+from multilight.datagen.storage.layers import Float32, GeometryBuffers, LayerStack
+from multilight.lights.spec import LightRig
+from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.spec import Camera, SceneSpec
 
 _NOTHING = 1e9
 """Cycles writes 1e10 metres where a ray hits nothing."""

@@ -1,4 +1,4 @@
-"""Converts a .blend file to GLB: `python -m datagen.backends.blender.convert FILE.blend FILE.glb`.
+"""Converts a .blend file to GLB: `python -m multilight.backends.blender.convert FILE.blend FILE.glb`.
 
 Runs in a process of its own, since it opens a file of unknown origin. No script in that file runs: neither text
 blocks marked to run at start, nor drivers and handlers written in Python.
@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from datagen.backends import blender  # finds the libraries that bpy needs
+from multilight.datagen.backends import blender  # finds the libraries that bpy needs
 
 assert blender is not None
 import bpy  # noqa: E402
@@ -20,11 +20,11 @@ import numpy as np  # noqa: E402
 import OpenEXR  # noqa: E402
 from mathutils import Matrix  # noqa: E402
 
-from scenes.assets.gltf import LIGHTS_KEY  # noqa: E402
-from scenes.assets.imported import FoundLight  # noqa: E402
-from scenes.cameras import matrix4  # noqa: E402
-from scenes.frozen import Rgb  # noqa: E402
-from scenes.inside import OutsideError, held  # noqa: E402
+from multilight.scenes.assets.formats.gltf import LIGHTS_KEY  # noqa: E402
+from multilight.scenes.assets.formats.scene_file import FoundLight  # noqa: E402
+from multilight.scenes.cameras.pinhole import matrix4  # noqa: E402
+from multilight.scenes.files.inside import OutsideError, held  # noqa: E402
+from multilight.scenes.frozen import Rgb  # noqa: E402
 
 WATTS_TO_INTENSITY = 1 / (4 * math.pi)
 """W/sr on the axis of a Blender point or spot light of one watt, as in `datagen.backends.blender.lights`."""

@@ -12,8 +12,8 @@ import numpy as np
 import OpenEXR
 from numpy.typing import NDArray
 
-from datagen.backends import BackendError, RenderSettings
-from datagen.backends.blender.materials import ALBEDO_AOV, SURFACE_AOV
+from multilight.datagen.backends.blender.materials import ALBEDO_AOV, SURFACE_AOV
+from multilight.datagen.backends.protocol import BackendError, RenderSettings
 
 Passes = dict[str, NDArray[np.float32]]
 _LAYER = "view"

@@ -11,11 +11,11 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
-from datagen.backends.blender.materials import load_image
-from lights.frames import spot_frame
-from lights.spec import AreaLight, EnvironmentLight, PointLight, SpotLight, SunLight
-from scenes.assets.library import AssetLibrary
-from scenes.frozen import Vector3
+from multilight.datagen.backends.blender.materials import load_image
+from multilight.lights.photometry.directions import spot_frame
+from multilight.lights.spec import AreaLight, EnvironmentLight, PointLight, SpotLight, SunLight
+from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.frozen import Vector3
 
 INTENSITY_TO_WATTS = 4 * math.pi
 """Watts of a Blender point or spot light per W/sr on its axis."""

@@ -5,11 +5,11 @@ from typing import Any
 
 import bpy
 
-from datagen.backends import BackendError
-from datagen.backends.blender.meshes import UV_LAYER
-from lights.spec import EmissiveLight
-from scenes.assets.library import AssetLibrary
-from scenes.spec import Material, Texture
+from multilight.datagen.backends.blender.meshes import UV_LAYER
+from multilight.datagen.backends.protocol import BackendError
+from multilight.lights.spec import EmissiveLight
+from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.spec import Material, Texture
 
 ALBEDO_AOV = "albedo"
 SURFACE_AOV = "surface"

@@ -6,8 +6,8 @@ import bmesh
 import bpy
 import numpy as np
 
-from scenes.meshes import MeshPart
-from scenes.spec import Rectangle
+from multilight.scenes.meshes import MeshPart
+from multilight.scenes.spec import Rectangle
 
 UV_LAYER = "uv"
 

@@ -7,14 +7,14 @@ import numpy as np
 from mathutils import Matrix
 from numpy.typing import NDArray
 
-from datagen.backends import BackendError
-from datagen.backends.blender import lights as blender_lights
-from datagen.backends.blender import meshes
-from datagen.backends.blender.materials import Materials
-from lights.spec import EmissiveLight, EnvironmentLight, LightRig
-from scenes.assets.library import AssetLibrary
-from scenes.cameras import circle_of_confusion
-from scenes.spec import Body, Camera, MeshAsset, Rectangle, SceneSpec, Sphere
+from multilight.datagen.backends.blender import lights as blender_lights
+from multilight.datagen.backends.blender import meshes
+from multilight.datagen.backends.blender.materials import Materials
+from multilight.datagen.backends.protocol import BackendError
+from multilight.lights.spec import EmissiveLight, EnvironmentLight, LightRig
+from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.cameras.pinhole import circle_of_confusion
+from multilight.scenes.spec import Body, Camera, MeshAsset, Rectangle, SceneSpec, Sphere
 
 _SENSOR_WIDTH = 36.0
 

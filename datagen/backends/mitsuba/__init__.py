@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from datagen.backends.variants import choose_variant, prepare_environment
+from multilight.datagen.backends.machine.variants import choose_variant, prepare_environment
 
 CHOICE = choose_variant()
 prepare_environment(CHOICE)
@@ -13,8 +13,8 @@ mitsuba.set_variant(CHOICE.variant)
 
 # The other variants' kernels are made of arrays that the scalar variant has not.
 if TYPE_CHECKING or CHOICE.variant != "scalar_rgb":
-    from datagen.backends.mitsuba.backend import MitsubaBackend
+    from multilight.datagen.backends.mitsuba.backend import MitsubaBackend
 else:
-    from datagen.backends.mitsuba.scalar import ScalarBackend as MitsubaBackend
+    from multilight.datagen.backends.mitsuba.scalar import ScalarBackend as MitsubaBackend
 
 __all__ = ["CHOICE", "MitsubaBackend"]

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import find_objects, maximum_filter, uniform_filter
 
-from datagen.layers import Float32
+from multilight.datagen.storage.layers import Float32
 
 FIRST = 4
 """Blocks for every pixel."""

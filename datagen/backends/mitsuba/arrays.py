@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.backends import BackendError
-from lights.spec import EmissiveLight, LightRig
-from scenes.assets.library import AssetLibrary
-from scenes.limits import open_picture
-from scenes.meshes import MeshPart, rectangle_part, sphere_part
-from scenes.spec import Body, Material, MeshAsset, Rectangle, SceneSpec, Sphere, Texture
+from multilight.datagen.backends.protocol import BackendError
+from multilight.lights.spec import EmissiveLight, LightRig
+from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.files.limits import open_picture
+from multilight.scenes.meshes import MeshPart, rectangle_part, sphere_part
+from multilight.scenes.spec import Body, Material, MeshAsset, Rectangle, SceneSpec, Sphere, Texture
 
 Float32 = NDArray[np.float32]
 UInt32 = NDArray[np.uint32]

@@ -9,22 +9,22 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from datagen.backends import BackendError, RenderJob, RenderSettings, split_variant
-from datagen.backends.mitsuba.adaptive import FIRST, Blocks, Pilot, first_blocks, further_blocks
-from datagen.backends.mitsuba.arrays import Textures, scene_arrays
-from datagen.backends.mitsuba.bsdf import Tables
-from datagen.backends.mitsuba.cameras import Lens
-from datagen.backends.mitsuba.device import on_device
-from datagen.backends.mitsuba.film import Film, Key, Values
-from datagen.backends.mitsuba.geometry import geometry_buffers
-from datagen.backends.mitsuba.integrator import Book, World, trace
-from datagen.backends.mitsuba.lights import emitters_of
-from datagen.backends.mitsuba.sampling import Sampler, stream_of
-from datagen.backends.mitsuba.surfaces import Surfaces, build
-from datagen.layers import Float32, LayerStack
-from lights.spec import EmissiveLight, LightRig
-from scenes.assets.library import AssetLibrary
-from scenes.spec import Camera, SceneSpec
+from multilight.datagen.backends.mitsuba.adaptive import FIRST, Blocks, Pilot, first_blocks, further_blocks
+from multilight.datagen.backends.mitsuba.arrays import Textures, scene_arrays
+from multilight.datagen.backends.mitsuba.bsdf import Tables
+from multilight.datagen.backends.mitsuba.cameras import Lens
+from multilight.datagen.backends.mitsuba.device import on_device
+from multilight.datagen.backends.mitsuba.film import Film, Key, Values
+from multilight.datagen.backends.mitsuba.geometry import geometry_buffers
+from multilight.datagen.backends.mitsuba.integrator import Book, World, trace
+from multilight.datagen.backends.mitsuba.lights import emitters_of
+from multilight.datagen.backends.mitsuba.sampling import Sampler, stream_of
+from multilight.datagen.backends.mitsuba.surfaces import Surfaces, build
+from multilight.datagen.backends.protocol import BackendError, RenderJob, RenderSettings, split_variant
+from multilight.datagen.storage.layers import Float32, LayerStack
+from multilight.lights.spec import EmissiveLight, LightRig
+from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.spec import Camera, SceneSpec
 
 LANES = 1 << 22
 """Samples traced at once: enough to keep a GPU busy, few enough for memory."""

@@ -14,7 +14,7 @@ import mitsuba as mi
 import numpy as np
 from scipy import integrate
 
-from datagen.backends.mitsuba.surfaces import Hit
+from multilight.datagen.backends.mitsuba.surfaces import Hit
 
 LEAST_ALPHA = 1e-3
 """Mirror-like: a lobe of a twentieth of a degree. Float32 carries no sharper one."""

@@ -4,8 +4,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from datagen.backends.mitsuba.device import opaque
-from scenes.spec import Camera
+from multilight.datagen.backends.mitsuba.device import opaque
+from multilight.scenes.spec import Camera
 
 
 class Lens:

@@ -7,9 +7,9 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.backends.mitsuba.adaptive import Blocks
-from datagen.backends.mitsuba.device import on_device
-from datagen.layers import Float32
+from multilight.datagen.backends.mitsuba.adaptive import Blocks
+from multilight.datagen.backends.mitsuba.device import on_device
+from multilight.datagen.storage.layers import Float32
 
 Key = tuple[str, str]
 """A variant or a mask, and the object that it is of."""

@@ -4,10 +4,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from datagen.backends.mitsuba.cameras import Lens
-from datagen.backends.mitsuba.integrator import SEE_THROUGH_SURFACES, World
-from datagen.layers import Float32, GeometryBuffers
-from scenes.spec import Camera
+from multilight.datagen.backends.mitsuba.cameras import Lens
+from multilight.datagen.backends.mitsuba.integrator import SEE_THROUGH_SURFACES, World
+from multilight.datagen.storage.layers import Float32, GeometryBuffers
+from multilight.scenes.spec import Camera
 
 HALF = 0.5
 """A surface counts as hit above this opacity, as in Cycles."""

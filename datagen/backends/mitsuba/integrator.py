@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
-from datagen.backends.mitsuba import bsdf
-from datagen.backends.mitsuba.lights import AnyEmitter, Environment, Glow, Sample
-from datagen.backends.mitsuba.sampling import Sampler
-from datagen.backends.mitsuba.surfaces import Hit, Soup, Surfaces
+from multilight.datagen.backends.mitsuba import bsdf
+from multilight.datagen.backends.mitsuba.lights import AnyEmitter, Environment, Glow, Sample
+from multilight.datagen.backends.mitsuba.sampling import Sampler
+from multilight.datagen.backends.mitsuba.surfaces import Hit, Soup, Surfaces
 
 SEE_THROUGH_SURFACES = 32
 FILTER_GLOSSY = 0.25

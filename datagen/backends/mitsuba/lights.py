@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from datagen.backends.mitsuba.arrays import SceneArrays
-from datagen.backends.mitsuba.device import on_device, opaque
-from datagen.backends.mitsuba.environments import envmap
-from datagen.backends.mitsuba.surfaces import Surfaces
-from lights.frames import spot_frame
-from lights.spec import (
+from multilight.datagen.backends.mitsuba.arrays import SceneArrays
+from multilight.datagen.backends.mitsuba.device import on_device, opaque
+from multilight.datagen.backends.mitsuba.environments import envmap
+from multilight.datagen.backends.mitsuba.surfaces import Surfaces
+from multilight.lights.photometry.directions import spot_frame
+from multilight.lights.spec import (
     AreaLight,
     EmissiveLight,
     EnvironmentLight,
@@ -32,9 +32,9 @@ from lights.spec import (
     SpotLight,
     SunLight,
 )
-from scenes.assets.environments import read_environment
-from scenes.assets.library import AssetLibrary
-from scenes.frozen import Rgb, Vector3
+from multilight.scenes.assets.environments import read_environment
+from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.frozen import Rgb, Vector3
 
 FAR = 1e8
 

@@ -7,8 +7,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.backends.mitsuba.arrays import NONE, SceneArrays
-from datagen.backends.mitsuba.device import on_device
+from multilight.datagen.backends.mitsuba.arrays import NONE, SceneArrays
+from multilight.datagen.backends.mitsuba.device import on_device
 
 VALUES, LINKS = 20, 16
 BASE, ROUGH, COAT, REPEAT, REPEAT2 = 0, 4, 8, 12, 16

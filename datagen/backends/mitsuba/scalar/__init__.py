@@ -12,6 +12,6 @@ noise; what looks different:
   so that some of what lies behind shows in it.
 """
 
-from datagen.backends.mitsuba.scalar.backend import ScalarBackend
+from multilight.datagen.backends.mitsuba.scalar.backend import ScalarBackend
 
 __all__ = ["ScalarBackend"]

@@ -9,16 +9,16 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.backends import BackendError, RenderJob, RenderSettings, split_variant
-from datagen.backends.mitsuba.arrays import Textures
-from datagen.backends.mitsuba.scalar.film import BLOCK, Film
-from datagen.backends.mitsuba.scalar.lookup import Lookup, Seen
-from datagen.backends.mitsuba.scalar.worlds import Worlds
-from datagen.layers import Float32, GeometryBuffers, LayerStack
-from lights.spec import EmissiveLight, EnvironmentLight
-from scenes.assets.library import AssetLibrary
-from scenes.cameras import pixel_rays, z_depth_from_ray_distance
-from scenes.spec import Camera
+from multilight.datagen.backends.mitsuba.arrays import Textures
+from multilight.datagen.backends.mitsuba.scalar.film import BLOCK, Film
+from multilight.datagen.backends.mitsuba.scalar.lookup import Lookup, Seen
+from multilight.datagen.backends.mitsuba.scalar.worlds import Worlds
+from multilight.datagen.backends.protocol import BackendError, RenderJob, RenderSettings, split_variant
+from multilight.datagen.storage.layers import Float32, GeometryBuffers, LayerStack
+from multilight.lights.spec import EmissiveLight, EnvironmentLight
+from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.cameras.pinhole import pixel_rays, z_depth_from_ray_distance
+from multilight.scenes.spec import Camera
 
 VIEWS_APART = 0x9E3779B1
 """Between the seeds of views."""

@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.spec import Camera
+from multilight.scenes.spec import Camera
 
 Float64 = NDArray[np.float64]
 

@@ -13,13 +13,13 @@ from PIL import Image
 from scipy.ndimage import map_coordinates
 from scipy.special import betaincinv
 
-from datagen.backends.mitsuba.environments import envmap
-from datagen.backends.mitsuba.scalar.film import CAMERA_AXES
-from lights.frames import spot_frame
-from lights.spec import AreaLight, EnvironmentLight, PointLight, SpotLight, SunLight
-from scenes.assets.environments import read_environment
-from scenes.assets.library import AssetLibrary
-from scenes.frozen import Rgb
+from multilight.datagen.backends.mitsuba.environments import envmap
+from multilight.datagen.backends.mitsuba.scalar.film import CAMERA_AXES
+from multilight.lights.photometry.directions import spot_frame
+from multilight.lights.spec import AreaLight, EnvironmentLight, PointLight, SpotLight, SunLight
+from multilight.scenes.assets.environments import read_environment
+from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.frozen import Rgb
 
 Float64 = NDArray[np.float64]
 Emitters = dict[str, Any]

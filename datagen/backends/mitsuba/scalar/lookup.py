@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from trimesh import Trimesh
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
-from datagen.backends.mitsuba.arrays import Textures, parts_of, place_part
-from scenes.assets.library import AssetLibrary
-from scenes.spec import Material, SceneSpec, Texture
+from multilight.datagen.backends.mitsuba.arrays import Textures, parts_of, place_part
+from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.spec import Material, SceneSpec, Texture
 
 Float64 = NDArray[np.float64]
 SEE_THROUGH_SURFACES = 32

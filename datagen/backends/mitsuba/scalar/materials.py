@@ -6,10 +6,10 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.backends.mitsuba.arrays import Textures
-from datagen.backends.mitsuba.scalar.lookup import linear_from_srgb
-from scenes.frozen import Rgb
-from scenes.spec import Material, Texture
+from multilight.datagen.backends.mitsuba.arrays import Textures
+from multilight.datagen.backends.mitsuba.scalar.lookup import linear_from_srgb
+from multilight.scenes.frozen import Rgb
+from multilight.scenes.spec import Material, Texture
 
 COAT = 4.0
 """Disney's clear coat reflects a quarter of what a dielectric of ior 1.5 does, which is what a coat of 1 means here."""

@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 from trimesh import Trimesh
 
-from datagen.backends.mitsuba.arrays import Float32, Textures, glowing_parts, parts_of, place_part
-from datagen.backends.mitsuba.scalar.lights import Emitters, emitters
-from datagen.backends.mitsuba.scalar.materials import coloured, surface
-from lights.spec import EmissiveLight, LightRig
-from scenes.assets.library import AssetLibrary
-from scenes.spec import SceneSpec
+from multilight.datagen.backends.mitsuba.arrays import Float32, Textures, glowing_parts, parts_of, place_part
+from multilight.datagen.backends.mitsuba.scalar.lights import Emitters, emitters
+from multilight.datagen.backends.mitsuba.scalar.materials import coloured, surface
+from multilight.lights.spec import EmissiveLight, LightRig
+from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.spec import SceneSpec
 
 INNER_SIDE = 2e-5
 """Metres between the two shining sides of a glowing sheet."""

@@ -1,0 +1,72 @@
+"""Which renderers are here, which is the fastest, and starting one; a renderer is imported only then."""
+
+import importlib.util
+from contextlib import AbstractContextManager
+from typing import TYPE_CHECKING
+
+from multilight.datagen.backends.protocol import Backend, BackendError
+from multilight.datagen.config.dataset import RendererName
+
+if TYPE_CHECKING:  # reading a dataset needs none of what reads meshes
+    from multilight.scenes.assets.library import AssetLibrary
+
+
+def has_mitsuba() -> bool:
+    """Tell whether Mitsuba and our backend for it are installed; imports neither."""
+    room = importlib.util.find_spec("multilight.datagen.backends.mitsuba")
+    return room is not None and room.origin is not None and importlib.util.find_spec("mitsuba") is not None
+
+
+def pick_renderer() -> tuple[RendererName, str]:
+    """Return the fastest renderer that is installed, and why it is that one."""
+    has_cycles = importlib.util.find_spec("bpy") is not None
+    if has_mitsuba():
+        from multilight.datagen.backends.machine.variants import choose_variant
+
+        choice = choose_variant()
+        if choice.variant != "scalar_rgb":
+            return "mitsuba", choice.why
+        if not has_cycles:
+            return "mitsuba", f"{choice.why}, and no Blender"
+        return "cycles", f"Mitsuba would be slower: {choice.why}"
+    if has_cycles:
+        return "cycles", "Blender is installed"
+    return "analytic", "neither Mitsuba nor Blender is installed"
+
+
+def resolve_renderer(wanted: str) -> RendererName:
+    """Turn `auto` into the fastest renderer that is installed; raises `BackendError` where one is missing."""
+    match wanted:
+        case "auto":
+            return pick_renderer()[0]
+        case "mitsuba" if not has_mitsuba():
+            raise BackendError("renderer 'mitsuba' needs the package mitsuba: pip install mitsuba")
+        case "cycles" if importlib.util.find_spec("bpy") is None:
+            raise BackendError("renderer 'cycles' needs the package bpy: pip install 'bpy==4.5.*'")
+        case "mitsuba" | "cycles" | "analytic":
+            return wanted
+        case _:
+            raise BackendError(f"renderer {wanted!r} is not available; choose auto, mitsuba, cycles or analytic")
+
+
+def open_backend(name: RendererName, library: "AssetLibrary") -> AbstractContextManager[Backend]:
+    """Start a renderer; use as a context manager. Imports the renderer only now."""
+    match name:
+        case "mitsuba":
+            try:
+                from multilight.datagen.backends.mitsuba import MitsubaBackend
+            except ImportError as error:
+                raise BackendError(f"renderer 'mitsuba' cannot be loaded: {error}; see `multilight doctor`") from error
+            return MitsubaBackend(library)
+        case "cycles":
+            try:
+                from multilight.datagen.backends.blender import BlenderBackend
+            except ImportError as error:
+                raise BackendError(
+                    f"renderer 'cycles' cannot be loaded: {error}; `make system-libraries` installs what it needs"
+                ) from error
+            return BlenderBackend(library)
+        case "analytic":
+            from multilight.datagen.backends.analytic import AnalyticBackend
+
+            return AnalyticBackend()

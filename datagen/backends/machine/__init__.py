@@ -1,0 +1,1 @@
+"""What this machine can render with: Dr.Jit variants, LLVM, and probes in processes of their own."""

@@ -1,0 +1,59 @@
+"""What a renderer does: `render(job) -> LayerStack`."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from pydantic import PositiveInt
+
+from multilight.datagen.storage.layers import LayerStack
+from multilight.lights.spec import LightRig
+from multilight.scenes.frozen import Frozen
+from multilight.scenes.spec import SceneSpec
+
+
+class RenderSettings(Frozen):
+    """How to render: samples a pixel (or other numbers at their cost, where that is better), path length, CPU threads
+    (0: all cores)."""
+
+    spp: PositiveInt = 16
+    max_bounces: PositiveInt = 8
+    threads: int = 0
+
+
+@dataclass(frozen=True)
+class RenderJob:
+    """One variant of one view: `all`, `without_<object>` (removed for good: no shadow, no reflection),
+    or `foreground_<object>` (only what the camera sees of the object, as lit in the whole scene)."""
+
+    scene: SceneSpec
+    rig: LightRig
+    settings: RenderSettings
+    view: int
+    variant: str = "all"
+
+
+class Backend(Protocol):
+    """A renderer that keeps its copy of the last scene between jobs."""
+
+    name: str
+
+    def render(self, job: RenderJob) -> LayerStack:
+        """Render one job; raises `BackendError` with the value and the remedy."""
+        ...
+
+
+class BackendError(RuntimeError):
+    """The renderer cannot do what was asked: names the value and the remedy."""
+
+
+def split_variant(scene: SceneSpec, variant: str) -> tuple[str, str | None]:
+    """Split a variant into its action (`all`, `without`, `foreground`) and the object's name."""
+    if variant == "all":
+        return "all", None
+    action, _, name = variant.partition("_")
+    if action not in ("without", "foreground") or name not in scene.insertable:
+        raise BackendError(
+            f"variant {variant!r} is not 'all', 'without_<object>' or 'foreground_<object>' "
+            f"with an object of {list(scene.insertable)}"
+        )
+    return action, name

@@ -1,0 +1,158 @@
+"""Commands that look at what was made: `verify`, `mix`, `sheet`, `stats`."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import tyro
+
+from multilight.datagen.config.presets import Preset
+from multilight.datagen.errors import UserError
+
+if TYPE_CHECKING:
+    from multilight.datagen.stats.collect import Summary
+
+
+@dataclass
+class Verify:
+    """Check that a dataset is whole and unchanged, and what its pictures hold; exit code 1 on any fault.
+
+    Finds what is missing, changed, too much or under another's name, in the index and dataset.json as well.
+
+    Packed copies and exports, which have a manifest.json, are checked by it: every file is there, no other, unchanged.
+    """
+
+    dir: tyro.conf.Positional[str]
+    """Folder or address of the dataset; folder of the packed copy or export."""
+    json: bool = False
+    """Print JSON instead of a table."""
+    quick: bool = False
+    """Look at names, sizes, records and the index, not at what the files hold."""
+    source: str | None = None
+    """Folder or address of a dataset: say as well what of a packed copy or export is not as that dataset is now."""
+
+    def run(self) -> int:
+        """Verify and return the exit code."""
+        from multilight.datagen.commands.output import print_verification
+        from multilight.datagen.verification.copies import copy_at, print_copy_verification
+        from multilight.datagen.verification.dataset import verify_dataset
+
+        if (copy := copy_at(self.dir)) is not None:
+            return print_copy_verification(copy, quick=self.quick, source=self.source, as_json=self.json)
+        if self.source is not None:
+            raise UserError(f"--source goes with a packed copy or an export, and {self.dir} is neither")
+        return print_verification(self.dir, verify_dataset(self.dir, quick=self.quick), as_json=self.json)
+
+
+@dataclass
+class Mix:
+    """Make a picture of a stored view under any lighting."""
+
+    dir: tyro.conf.Positional[str]
+    """Folder or address of the dataset."""
+    out: Path = field(kw_only=True)
+    """Picture to write: .png (tone-mapped) or .exr (scene-linear float)."""
+    scene: int = 0
+    """Index of the scene."""
+    view: int = 0
+    """Number of the view."""
+    condition: str = "all"
+    """Lighting: a condition's name, a JSON file, or random:SEED."""
+    insert_condition: str | None = None
+    """Lighting of the inserted object in a composite; as --condition."""
+    object: str | None = None
+    """Insertable object (default: the first)."""
+    what: Literal["target", "background", "composite", "effect"] | None = None
+    """What to make (default: composite with --insert-condition, else target)."""
+
+    def run(self) -> int:
+        """Write the picture and return the exit code."""
+        from multilight.datagen.tuples.mixing import MixRequest, write_mix
+
+        what = self.what or ("composite" if self.insert_condition else "target")
+        insert = self.insert_condition or self.condition
+        write_mix(MixRequest(self.dir, self.scene, self.view, what, self.condition, insert, self.object), self.out)
+        return 0
+
+
+@dataclass
+class Sheet:
+    """Write a contact sheet: scenes x (background, composite, target, depth, effect)."""
+
+    dir: tyro.conf.Positional[str]
+    """Folder or address of the dataset."""
+    out: Path = field(kw_only=True)
+    """PNG file to write."""
+    scenes: int = 24
+    """Most scenes to show."""
+
+    def run(self) -> int:
+        """Write the sheet and return the exit code."""
+        from multilight.datagen.files.outputs import check_file, written
+        from multilight.datagen.storage.source import open_dataset
+        from multilight.datagen.tuples.sheet import contact_sheet
+
+        if not 1 <= self.scenes <= 10_000:
+            raise UserError(f"--scenes {self.scenes} must be 1 to 10000")
+        source = open_dataset(self.dir)
+        if not source.indices:
+            raise UserError(f"{self.dir} holds no finished scene; make some with: multilight dataset --out {self.dir}")
+        if self.out.suffix.lower() not in (".png", ".jpg", ".webp"):
+            raise UserError(f"--out {self.out}: the suffix must be .png, .jpg or .webp")
+        check_file(self.out)
+        sheet = contact_sheet(source, scenes=self.scenes)
+        with written(self.out) as work:
+            sheet.save(work)
+        print(f"contact sheet: {self.out}")
+        return 0
+
+
+@dataclass
+class Stats:
+    """Measure how varied a dataset is: histograms, coverage, leaks between splits, near-duplicate scenes."""
+
+    dir: tyro.conf.Positional[Path | None] = None
+    """Folder of the dataset."""
+    sample: int | None = None
+    """Instead: sample this many scenes without rendering, and measure those."""
+    out: Path | None = None
+    """Folder for index.html and stats.json (default: stats in the dataset's folder; with --sample: none)."""
+    preset: Preset | None = None
+    """With --sample: named starting point of the configuration."""
+    config: Path | None = None
+    """With --sample: TOML file of the configuration."""
+    assets: tuple[Path, ...] = ()
+    """Folders of your own models that the scenes use."""
+
+    def run(self) -> int:
+        """Measure, print a table, write the page and return the exit code: 1 where something leaks."""
+        from multilight.datagen.files.outputs import check_folder
+        from multilight.datagen.stats.page import print_summary, write_page
+
+        if self.out is not None:
+            check_folder(self.out)
+        summary, out = self._measure()
+        print_summary(summary)
+        if out is not None:
+            write_page(summary, out)
+            print(f"statistics: {out / 'index.html'}")
+        return 1 if summary.leaks else 0
+
+    def _measure(self) -> "tuple[Summary, Path | None]":
+        from multilight.datagen.commands.output import progress
+        from multilight.datagen.config.dataset import load_config
+        from multilight.datagen.stats.collect import measure_dataset, measure_samples
+        from multilight.datagen.storage.store import file_inside
+        from multilight.scenes.assets.library import AssetLibrary
+
+        if (self.dir is None) == (self.sample is None):
+            raise UserError("say either which dataset to measure (multilight stats DIR) or --sample N")
+        with progress("scenes") as report:
+            if self.dir is not None:
+                library = AssetLibrary(folders=self.assets)
+                return measure_dataset(self.dir, library, report), self.out or file_inside(self.dir, "stats")
+            assert self.sample is not None
+            if self.sample < 1:
+                raise UserError(f"--sample {self.sample} must be 1 or more")
+            config = load_config(self.config, {}, self.preset)
+            return measure_samples(config, self.sample, AssetLibrary(folders=self.assets), report), self.out

@@ -1,0 +1,64 @@
+"""Look scenes up in a dataset's index, and print them: the command `query`."""
+
+import json
+from collections.abc import Sequence
+from typing import Any
+
+import polars as pl
+from rich.console import Console
+from rich.table import Table
+
+from multilight.datagen.errors import UserError
+from multilight.datagen.storage.index import COLUMNS
+from multilight.datagen.storage.source import open_dataset
+from multilight.datagen.text import terminal
+
+
+def query(address: str, where: str | None, columns: Sequence[str]) -> pl.DataFrame:
+    """Return the rows for which an SQL expression holds; raises `UserError` naming a column that is not there."""
+    table = open_dataset(address, where=where).table
+    if "all" in columns:
+        return table
+    if unknown := [name for name in columns if name not in table.columns]:
+        raise UserError(f"--columns: no column {', '.join(unknown)}; there are {', '.join(table.columns)}")
+    return table.select(columns)
+
+
+def print_rows(rows: pl.DataFrame, *, as_json: bool) -> int:
+    """Print the rows and return the exit code: 1 where there is none."""
+    if as_json:
+        print(json.dumps(rows.to_dicts(), indent=1))
+    else:
+        _print_table([(name, rows.schema[name].is_numeric()) for name in rows.columns], rows.rows())
+        print(f"{len(rows)} scene{'s' if len(rows) != 1 else ''}")
+    return 0 if len(rows) else 1
+
+
+def describe(*, as_json: bool) -> int:
+    """Print each column's name, type and meaning."""
+    rows = [(name, str(kind).replace("String", "text"), meaning) for name, (kind, meaning) in COLUMNS.items()]
+    if as_json:
+        print(json.dumps([dict(zip(("column", "type", "meaning"), row, strict=True)) for row in rows], indent=1))
+    else:
+        _print_table([(name, False) for name in ("column", "type", "meaning")], rows)
+    return 0
+
+
+def _print_table(columns: Sequence[tuple[str, bool]], rows: Sequence[Sequence[Any]]) -> None:
+    table = Table()
+    for name, numeric in columns:
+        table.add_column(name, justify="right" if numeric else "left", overflow="fold")
+    for row in rows:
+        table.add_row(*(terminal(_cell(value)) for value in row))
+    Console().print(table)
+
+
+def _cell(value: object) -> str:
+    match value:
+        case None:
+            return ""
+        case list():
+            return ", ".join(_cell(each) or "-" for each in value)
+        case bool():
+            return "yes" if value else "no"
+    return str(value)

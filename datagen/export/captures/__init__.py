@@ -1,0 +1,1 @@
+"""Captures of many views, as COLMAP and nerfstudio read them."""

@@ -1,0 +1,119 @@
+"""A scene under one lighting as a capture: what a photographer would bring home, with depth and points besides."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multilight.datagen.errors import UserError
+from multilight.datagen.export.captures.points import ScenePoints, scene_points
+from multilight.datagen.export.images import depth_mm, png, share_to_byte
+from multilight.datagen.storage.copies import files_of, making, whole_folder
+from multilight.datagen.storage.manifest import scene_part
+from multilight.datagen.storage.records import SceneRecord
+from multilight.datagen.storage.source import DatasetSource
+from multilight.datagen.tuples import compose
+from multilight.lights.display.tonemap import to_display
+from multilight.lights.spec import LightingCondition
+from multilight.scenes.streams import Streams
+
+Float32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class SceneViews:
+    """A scene's views without their layers: z_depth, normal_world and environment of each, and shared points."""
+
+    record: SceneRecord
+    depths: tuple[Float32, ...]
+    environments: tuple[Float32, ...]
+    points: ScenePoints
+
+
+@dataclass(frozen=True)
+class Capture:
+    """One lighting of a scene: tone-mapped pictures (H, W, 3) uint8 sRGB, a view each."""
+
+    scene: SceneViews
+    condition: LightingCondition
+    images: tuple[NDArray[np.uint8], ...]
+
+
+Write = Callable[[Capture, Path], None]
+
+
+def export_captures(
+    source: DatasetSource,
+    out: Path,
+    write: Write,
+    *,
+    kind: Literal["nerfstudio", "colmap"],
+    conditions: int | None,
+    points: int,
+    report: Callable[[float, float], None],
+) -> int:
+    """Write `out/scene_000000/<condition>/` for every scene and lighting with `write`, and return how many are there.
+
+    `conditions` takes the first of each scene's. Folders that are there already, and undamaged, are kept.
+    """
+    if conditions is not None and conditions < 1:
+        raise UserError(f"--conditions {conditions} must be 1 or more")
+    if points < 1:
+        raise UserError(f"--points {points} must be 1 or more")
+    written = 0
+    with making(out, kind, source, {"points": points}) as copy:
+        for done, record in enumerate(source.scenes()):
+            chosen = record.conditions[:conditions]
+            scene = f"scene_{record.index:06d}"
+            with source.passing_over(record.index):
+                part = scene_part(source, record.index)
+                missing = [lit for lit in chosen if not copy.keeps(f"{scene}/{lit.name}", part)]
+                for capture in _captures(source, record, missing, points):
+                    name = f"{scene}/{capture.condition.name}"
+                    with whole_folder(out, name) as partial:
+                        write(capture, partial)
+                    copy.add(name, part, files_of(out, name))
+                written += len(chosen)
+            report(done + 1, len(source.indices))
+        copy.finish()
+    return written
+
+
+def write_pictures(capture: Capture, folder: Path, *, mask_name: str) -> None:
+    """Write `images/00.png`, `depths/00.png` (16-bit mm) and `masks/<mask_name>`, black where only sky is seen.
+
+    `mask_name` holds `{}` for the view's two digits.
+    """
+    for name in ("images", "depths", "masks"):
+        (folder / name).mkdir()
+    scene = capture.scene
+    for number, (image, depth, sky) in enumerate(zip(capture.images, scene.depths, scene.environments, strict=True)):
+        (folder / "images" / f"{number:02d}.png").write_bytes(png(image))
+        (folder / "depths" / f"{number:02d}.png").write_bytes(png(depth_mm(depth)))
+        mask = share_to_byte(sky < 0.5)
+        (folder / "masks" / mask_name.format(f"{number:02d}")).write_bytes(png(mask))
+
+
+def _captures(
+    source: DatasetSource, record: SceneRecord, conditions: Sequence[LightingCondition], count: int
+) -> Sequence[Capture]:
+    """Read each view once, light it every way, and keep the pictures only: layers of all views would fill memory."""
+    if not conditions:
+        return ()
+    geometry, pictures = [], []
+    for number in range(len(record.views)):
+        view = source.view(record, number)
+        geometry.append(view.geometry)
+        pictures.append([to_display(compose.target(view, condition)) for condition in conditions])
+    depths = tuple(buffers.z_depth for buffers in geometry)
+    rng = Streams(record.seed, record.index, record.attempt)("export/points")
+    normals = [buffers.normal_world for buffers in geometry]
+    points = scene_points(record.scene.cameras, depths, normals, count=count, rng=rng)
+    scene = SceneViews(record, depths, tuple(buffers.environment for buffers in geometry), points)
+    return [
+        Capture(scene, condition, tuple(lit))
+        for condition, lit in zip(conditions, zip(*pictures, strict=True), strict=True)
+    ]

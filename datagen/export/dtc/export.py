@@ -1,0 +1,193 @@
+"""Export to DTC-MultiLight, the layouts of MV-CoLight: which scenes go where, and the processes that write them.
+
+Scenes of split `train` go to `DTC-MultiLight-2D` and `-3D`, all others to `DTC-MultiLight-2DEval` and `-3DEval`. A
+scene's folder gets its name when it is whole, so an export that was stopped goes on where it was. `train.json` and
+`test.json` name roots and scenes as the published configuration files do.
+"""
+
+import concurrent.futures
+import json
+import multiprocessing
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+from multilight.datagen.errors import RunStoppedError, StoreError, UserError
+from multilight.datagen.export.dtc.readme import write_readme
+from multilight.datagen.export.dtc.scene import Frame
+from multilight.datagen.export.dtc.work import Job, export_scene
+from multilight.datagen.storage.copies import Copy, making
+from multilight.datagen.storage.manifest import FileEntry, ScenePart, scene_part
+from multilight.datagen.storage.records import SceneRecord
+from multilight.datagen.storage.source import open_dataset
+from multilight.datagen.storage.store import write_text
+from multilight.scenes.gaussians.curves import fold
+
+Part = Literal["2d-train", "2d-eval", "3d-train", "3d-eval", "all"]
+Report = Callable[[float, float], None]
+ROOTS: dict[str, str] = {
+    "2d-train": "DTC-MultiLight-2D",
+    "3d-train": "DTC-MultiLight-3D",
+    "2d-eval": "DTC-MultiLight-2DEval",
+    "3d-eval": "DTC-MultiLight-3DEval",
+}
+LISTS = {"train": "train.json", "eval": "test.json"}
+Made = Callable[[int, dict[str, dict[str, FileEntry]]], None]
+
+
+@dataclass(frozen=True)
+class DtcExport:
+    """What to export: a dataset's address, where to, which roots, and how."""
+
+    address: str
+    out: Path
+    part: Part = "all"
+    conditions: int | None = None
+    exposures: int = 4
+    size: int = 256
+    map_size: int = 256
+    workers: int | None = None
+
+
+@dataclass(frozen=True)
+class DtcOutcome:
+    """How many scenes were written and were there, and why the others failed (scene index → one line)."""
+
+    written: int
+    kept: int
+    failures: dict[int, str]
+
+
+def export_dtc(request: DtcExport, report: Report) -> DtcOutcome:
+    """Write what is missing of the roots; reports (views written, views to write).
+
+    Raises `UserError` where the dataset cannot be read or holds no scene for the part, where a number is out of its
+    range, or where the output folder holds something else, or an export made otherwise.
+    """
+    source = open_dataset(request.address)
+    if not source.indices:
+        raise UserError(f"{request.address} holds no finished scene; make some with: multilight dataset")
+    records = [record for record in source.scenes() if _kinds(record, request)]
+    _check(request, records)
+    settings = {key: getattr(request, key) for key in ("conditions", "exposures", "size", "map_size")}
+    with making(request.out, "dtc-multilight", source, settings) as copy:
+        parts = {record.index: scene_part(source, record.index) for record in records}
+        jobs = [_job(request, record, copy, parts[record.index]) for record in records]
+        missing = [job for job in jobs if job.flat or job.maps]
+
+        def made(index: int, folders: dict[str, dict[str, FileEntry]]) -> None:
+            for folder, files in folders.items():
+                copy.add(folder, parts[index], files)
+
+        failures = _run(missing, request.workers, made, report)
+        _write_lists(request, records)
+        write_readme(request.out, request.address, records)
+        copy.finish(*(name for name in (*LISTS.values(), "README.md") if (request.out / name).is_file()))
+    return DtcOutcome(len(missing) - len(failures), len(jobs) - len(missing), failures)
+
+
+def scene_name(index: int) -> str:
+    """Return a scene's folder name: `scene_00042`."""
+    return f"scene_{index:05d}"
+
+
+def _kinds(record: SceneRecord, request: DtcExport) -> list[str]:
+    """Return the parts, `2d-train` say, that a scene belongs to and that were asked for."""
+    end = "train" if record.split == "train" else "eval"
+    return [kind for kind in ROOTS if kind.endswith(end) and request.part in (kind, "all")]
+
+
+def _check(request: DtcExport, records: Sequence[SceneRecord]) -> None:
+    if not records:
+        wanted = "of split train" if request.part.endswith("train") else "of another split than train"
+        raise UserError(f"{request.address} holds no scene {wanted}, which --part {request.part} is made of")
+    for option, value in (("exposures", request.exposures), ("workers", request.workers)):
+        if value is not None and value < 1:
+            raise UserError(f"--{option} {value} must be 1 or more")
+    try:
+        fold(request.map_size)
+    except ValueError as error:
+        raise UserError(f"--map-size {request.map_size}: {error}") from None
+    for record in records:
+        Frame.fit(request.size, record.views[0].height, record.views[0].width)
+        most = len(record.conditions)
+        if request.conditions is not None and not 1 <= request.conditions <= most:
+            raise UserError(
+                f"--conditions {request.conditions} must be 1 to {most}, as many as scene {record.index} has"
+            )
+        if not record.scene.insertable:
+            raise UserError(f"scene {record.index} of {request.address} has no insertable object to composite")
+
+
+def _job(request: DtcExport, record: SceneRecord, copy: Copy, part: ScenePart) -> Job:
+    """Plan what is missing of a scene."""
+    folders = {kind[:2]: f"{ROOTS[kind]}/{scene_name(record.index)}" for kind in _kinds(record, request)}
+    missing = {dimension: folder for dimension, folder in folders.items() if not copy.keeps(folder, part)}
+    return Job(
+        address=request.address,
+        root=request.out,
+        index=record.index,
+        views=len(record.views),
+        evaluation=record.split != "train",
+        flat=missing.get("2d"),
+        maps=missing.get("3d"),
+        conditions=request.conditions,
+        exposures=request.exposures,
+        size=request.size,
+        map_size=request.map_size,
+    )
+
+
+def _run(jobs: Sequence[Job], workers: int | None, made: Made, report: Report) -> dict[int, str]:
+    """Export scenes, telling `made` of each; returns the failures. Anything that would fail all scenes is raised."""
+    failures: dict[int, str] = {}
+    done, total = 0, sum(job.views for job in jobs)
+    count = min(workers or len(os.sched_getaffinity(0)), len(jobs))
+    for job, wait in _started(jobs, count) if jobs else ():
+        try:
+            made(job.index, wait())
+        except (StoreError, ValueError) as error:
+            failures[job.index] = str(error)
+        except BrokenProcessPool:
+            raise RunStoppedError(
+                "a worker process was killed, probably for want of memory; finished scenes are kept: "
+                "run the same command again with a smaller --workers"
+            ) from None
+        done += job.views
+        report(done, total)
+    return failures
+
+
+def _started(jobs: Sequence[Job], count: int) -> Iterator[tuple[Job, Callable[[], dict[str, dict[str, FileEntry]]]]]:
+    """Yield each job with a call that returns or raises as the job did; in `count` processes, or in this one."""
+    if count == 1:
+        for job in jobs:
+            yield job, partial(export_scene, job)
+        return
+    with concurrent.futures.ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn")) as pool:
+        running = {pool.submit(export_scene, job): job for job in jobs}
+        try:
+            for future in concurrent.futures.as_completed(running):
+                yield running[future], future.result
+        except BaseException:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+
+
+def _write_lists(request: DtcExport, records: Sequence[SceneRecord]) -> None:
+    """Write `train.json` and `test.json`: a group a split, with the keys that the 2D and the 3D loader want."""
+    for end, file in LISTS.items():
+        flat, maps = (request.out.resolve() / ROOTS[f"{dimension}-{end}"] for dimension in ("2d", "3d"))
+        groups: dict[str, list[str]] = {}
+        for record in records:
+            name = scene_name(record.index)
+            if (record.split == "train") == (end == "train") and ((flat / name).is_dir() or (maps / name).is_dir()):
+                groups.setdefault(record.split, []).append(name)
+        roots = {"data_root": str(flat), "data_root_2d": str(flat), "data_root_3d": str(maps)}
+        if groups:
+            content = {split: roots | {"scenes": names} for split, names in groups.items()}
+            write_text(request.out / file, json.dumps(content, indent=1) + "\n")

@@ -1,0 +1,156 @@
+"""One scene's way into the DTC-MultiLight layouts: views are read twice, to meter the lightings and to write them.
+
+Of a view only what is being written is held in memory. The 3D maps take their colours from the very pictures that
+the 2D layout stores.
+"""
+
+import contextlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multilight.datagen.export.dtc import maps2d as dtc2d
+from multilight.datagen.export.dtc import maps3d as dtc3d
+from multilight.datagen.export.dtc.scene import Frame, Geometry, Lighting, survey, views
+from multilight.datagen.storage.copies import files_of, whole_folder
+from multilight.datagen.storage.layers import Float32
+from multilight.datagen.storage.manifest import FileEntry
+from multilight.datagen.storage.records import SceneRecord
+from multilight.datagen.storage.source import DatasetSource, open_dataset
+from multilight.datagen.tuples import compose
+from multilight.lights.display.reinhard import tone_map
+from multilight.lights.spec import LightingCondition
+from multilight.scenes.gaussians.from_views import SceneGaussians
+from multilight.scenes.streams import Streams
+
+UInt8 = NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Job:
+    """One scene to export into `root`: `flat` and `maps` are the 2D and 3D folders in it, None where there already."""
+
+    address: str
+    root: Path
+    index: int
+    views: int
+    evaluation: bool
+    flat: str | None
+    maps: str | None
+    conditions: int | None
+    exposures: int
+    size: int
+    map_size: int
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """An opened scene, surveyed under the lightings that are written."""
+
+    source: DatasetSource
+    record: SceneRecord
+    frame: Frame
+    lightings: tuple[Lighting, ...]
+    geometry: Geometry
+    name: str
+
+    def picture(self, radiance: Float32, lighting: Lighting, step: int) -> UInt8:
+        """Tone-map and shrink a rendered picture, in this order, as published."""
+        return self.frame.shrink(tone_map(radiance, lighting.metering, step))
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What an evaluation scene shows: an object lit by `insert` in pictures lit by `base`, each at an exposure."""
+
+    object: int
+    base: LightingCondition
+    insert: LightingCondition
+    base_step: int
+    insert_step: int
+
+
+def export_scene(job: Job) -> dict[str, dict[str, FileEntry]]:
+    """Write one scene; returns the files of each folder. Raises `StoreError` naming a file that cannot be read."""
+    source = open_dataset(job.address)
+    record = source.scene(job.index)
+    frame = Frame.fit(job.size, record.views[0].height, record.views[0].width)
+    conditions = record.conditions[: job.conditions]
+    choice = choose(record, conditions, job.exposures)
+    lightings, geometry = survey(source, record, frame, (choice.base, choice.insert) if job.evaluation else conditions)
+    folders = [folder for folder in (job.flat, job.maps) if folder]
+    scene = _Scene(source, record, frame, lightings, geometry, Path(folders[0]).name)
+    with contextlib.ExitStack() as stack:
+        flat, maps = (stack.enter_context(whole_folder(job.root, f)) if f else None for f in (job.flat, job.maps))
+        gaussians = _gaussians(scene, job.map_size) if maps else None
+        if job.evaluation:
+            _evaluation(scene, choice, flat, maps, gaussians)
+        else:
+            _training(scene, job.exposures, flat, maps, gaussians)
+    return {folder: files_of(job.root, folder) for folder in folders}
+
+
+def choose(record: SceneRecord, conditions: Sequence[LightingCondition], exposures: int) -> Choice:
+    """Choose what an evaluation scene shows: two different lightings where there are two, from the scene's own seed."""
+    rng = Streams(record.seed, record.index)("export/dtc-multilight")
+    base, insert = rng.permutation(max(len(conditions), 2))[:2] % len(conditions)
+    steps = rng.integers(exposures, size=2)
+    number = int(rng.integers(len(record.scene.insertable)))
+    return Choice(number, conditions[int(base)], conditions[int(insert)], int(steps[0]), int(steps[1]))
+
+
+def _gaussians(scene: _Scene, side: int) -> SceneGaussians:
+    spec = scene.record.scene
+    return dtc3d.make_gaussians(scene.geometry, [spec.instance_id(name) for name in spec.insertable], side)
+
+
+def _training(
+    scene: _Scene, exposures: int, flat: Path | None, maps: Path | None, gaussians: SceneGaussians | None
+) -> None:
+    objects = scene.record.scene.insertable
+    folders = [lighting.folder(step) for lighting in scene.lightings for step in range(exposures)]
+    colors = dtc3d.ColorMaps(gaussians) if gaussians else None
+    if flat:
+        dtc2d.write_training_geometry(flat, scene.name, folders, scene.geometry)
+    for number, view in enumerate(views(scene.source, scene.record)):
+        for lighting in scene.lightings:
+            lit = lighting.condition
+            radiances = [compose.target(view, lit), *(compose.background(view, name, lit) for name in objects)]
+            for step in range(exposures):
+                folder = lighting.folder(step)
+                image, *backgrounds = (scene.picture(radiance, lighting, step) for radiance in radiances)
+                if flat:
+                    dtc2d.write_training_pictures(flat / folder, number, image, backgrounds)
+                if colors:
+                    colors.fill(f"{folder}/img", number, image)
+                    for j, background in enumerate(backgrounds):
+                        colors.fill(f"{folder}/bg{j}", number, background)
+    if maps and gaussians and colors:
+        dtc3d.write_training_maps(maps, scene.name, folders, gaussians=gaussians, maps=colors, objects=len(objects))
+
+
+def _evaluation(
+    scene: _Scene, choice: Choice, flat: Path | None, maps: Path | None, gaussians: SceneGaussians | None
+) -> None:
+    name = scene.record.scene.insertable[choice.object]
+    base, insert = scene.lightings
+    colors = dtc3d.ColorMaps(gaussians) if gaussians else None
+    for number, view in enumerate(views(scene.source, scene.record)):
+        target = scene.picture(compose.target(view, base.condition), base, choice.base_step)
+        background = scene.picture(compose.background(view, name, base.condition), base, choice.base_step)
+        inserted = scene.picture(compose.target(view, insert.condition), insert, choice.insert_step)
+        composite = dtc2d.paste(inserted, background, scene.geometry.masks[number, choice.object])
+        if flat:
+            dtc2d.write_evaluation_pictures(
+                flat, number, scene.geometry, composite=composite, background=background, target=target
+            )
+        if colors:
+            colors.fill("composite", number, composite)
+            colors.fill("gt", number, target)
+    if flat:
+        dtc2d.write_evaluation_transforms(flat, scene.name, scene.geometry)
+    if maps and gaussians and colors:
+        dtc3d.write_evaluation_maps(maps, gaussians, colors)

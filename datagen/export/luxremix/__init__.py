@@ -1,0 +1,1 @@
+"""The LuxRemix set's layout."""

@@ -1,0 +1,1 @@
+"""WebDataset shards, with a dataset card."""

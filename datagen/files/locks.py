@@ -1,0 +1,54 @@
+"""One run at a time in an output folder."""
+
+import contextlib
+import fcntl
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO
+
+from multilight.datagen.errors import UserError
+from multilight.datagen.storage.store import check_links
+
+LOCK = ".lock"
+
+
+@contextlib.contextmanager
+def locked(root: Path) -> Iterator[None]:
+    """Make an output folder and hold its lock, which the kernel drops when the process ends, however it ends.
+
+    A folder that is still empty at the end, and was made here, goes again. Raises `UserError` where the folder cannot
+    be written or another process is at work in it, `StoreError` where something in it is a link that leads out of it.
+    """
+    new = not root.exists()
+    try:
+        root.mkdir(parents=True, exist_ok=True)
+        check_links(root)
+        lock = _taken(root / LOCK)
+    except OSError as error:
+        if isinstance(error, BlockingIOError):
+            raise UserError(f"{root} is being made by another process; wait for it or stop it first") from None
+        raise UserError(f"output folder {root} cannot be written: {error.strerror}; choose another --out") from None
+    with lock:
+        try:
+            yield
+        finally:
+            with contextlib.suppress(OSError):
+                (root / LOCK).unlink()
+                if new:
+                    root.rmdir()
+
+
+def _taken(path: Path) -> IO[str]:
+    """Open and lock a file; again where another process removed it in between, so that both cannot hold it."""
+    while True:
+        lock = path.open("w")
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            with contextlib.suppress(FileNotFoundError):
+                if os.path.samestat(os.fstat(lock.fileno()), path.stat()):
+                    return lock
+        except BaseException:
+            lock.close()
+            raise
+        lock.close()

@@ -1,0 +1,1 @@
+"""Making scenes: plan and workers, one scene, one view, denoising, finishing."""

@@ -1,0 +1,284 @@
+"""Make or continue a dataset: plan, worker processes, index; resumable after any kill."""
+
+import contextlib
+import glob
+import importlib.metadata
+import multiprocessing
+import os
+import shutil
+import sys
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import TimeoutError as FutureTimeout
+from dataclasses import dataclass
+from pathlib import Path
+
+from pebble import ProcessExpired, ProcessFuture, ProcessPool
+
+from multilight.datagen.backends.choose import resolve_renderer
+from multilight.datagen.backends.machine.variants import choose_variant
+from multilight.datagen.config.dataset import DatasetConfig, RendererName
+from multilight.datagen.errors import RunStoppedError, StoreError, UserError, full_disk_told
+from multilight.datagen.files.locks import locked
+from multilight.datagen.production.finishing import finish, survey
+from multilight.datagen.production.library import check_background
+from multilight.datagen.production.worker import WorkerSetup, log_path, run_scene
+from multilight.datagen.storage.records import GHOSTS, DatasetRecord
+from multilight.datagen.storage.store import COPIES, read_dataset, read_scene, scene_dir, scene_indices, write_text
+from multilight.datagen.verification.dataset import ANEW
+from multilight.scenes.assets.library import AssetError, AssetLibrary
+
+SCENES_A_WORKER = 25  # then a fresh process: a long-lived Blender grows
+SECONDS_A_MEGASAMPLE = 60.0  # a hundred times what a slow core needs; only a hung scene exceeds it
+LEAST_TIMEOUT = 600.0
+VERSIONS = ("multilight", "bpy", "mitsuba", "drjit", "mitsuba-oidn", "OpenEXR", "trimesh", "numpy", "colour-science")
+
+
+SCALAR = "scalar_rgb"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A run: where, what, which scenes, with how many processes.
+
+    `repair` looks at the contents of what is there as well, not at names and sizes only.
+    """
+
+    root: Path
+    config: DatasetConfig
+    indices: tuple[int, ...]
+    workers: int
+    asset_folders: tuple[Path, ...] = ()
+    repair: bool = False
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a run did; `failures` maps a scene, `broken` an asset that was passed over, to one line of reason.
+
+    `changed` are scenes that were damaged and came out otherwise than the index states; `seconds` maps each stage to
+    the time it took, over all workers.
+    """
+
+    made: tuple[int, ...]
+    kept: int
+    failures: dict[int, str]
+    broken: dict[str, str]
+    seconds: dict[str, float]
+    changed: tuple[int, ...]
+
+
+Report = Callable[[float, float], None]
+"""Called now and then with the views finished and the views planned."""
+
+
+@dataclass(frozen=True)
+class _Watch:
+    """What is learned while the workers run: progress, broken assets, and where the time goes."""
+
+    report: Report
+    broken: dict[str, str]
+    seconds: dict[str, float]
+
+
+def make_dataset(plan: Plan, report: Report) -> Outcome:
+    """Make what is missing or damaged of the plan's scenes, and finish: index and credits agree with the scenes then.
+
+    Raises `UserError` where the folder cannot be written, holds a dataset of another configuration or renderer,
+    is being made by another run, or is full.
+    """
+    renderer = resolve_renderer(plan.config.renderer)
+    _check_kind(plan.config, renderer)
+    check_background(plan.config)
+    with locked(plan.root), full_disk_told(plan.root):
+        record = _open_record(plan, renderer)
+        for name in ("work", "logs"):
+            shutil.rmtree(plan.root / name, ignore_errors=True)
+        for leftover in plan.root.glob(".*.tmp*"):
+            leftover.unlink()
+        there = survey(plan.root, record, contents=plan.repair)
+        wanted = sorted({*plan.indices, *there.damaged})
+        missing = tuple(i for i in wanted if i not in there.rows)
+        kept = len(wanted) - len(missing)
+        if not missing:
+            finish(plan.root, record, there)
+            return Outcome((), kept, {}, {}, {}, ())
+        for index, reason in there.damaged.items():
+            print(f"scene {index} is damaged and made anew: {reason}", file=sys.stderr)
+        if there.rows or there.damaged:
+            _check_makers(record, plan)
+        watch = _Watch(report, _broken_models(plan.asset_folders), {})
+        failures = _run(plan, renderer, missing, watch)
+        shutil.rmtree(plan.root / "work", ignore_errors=True)
+        made = tuple(i for i in missing if i not in failures)
+        changed = finish(plan.root, record, there, made)
+        return Outcome(made, kept, failures, watch.broken, dict(watch.seconds), changed)
+
+
+def default_workers(scenes: int) -> int:
+    """Return one process a core, but no more than there are scenes."""
+    return max(1, min(len(os.sched_getaffinity(0)), scenes))
+
+
+def _check_kind(config: DatasetConfig, renderer: RendererName) -> None:
+    if renderer == "analytic" and config.kind not in ("spheres", "imported"):
+        raise UserError(
+            f"renderer 'analytic' is a closed form for spheres on a plane and cannot render kind {config.kind!r}; "
+            "use --kind spheres, or --renderer cycles"
+        )
+
+
+def _check_makers(record: DatasetRecord, plan: Plan) -> None:
+    """Raise `UserError` where packs that scenes drew from are missing; tell where other versions make what is new."""
+    here = {"background", *(folder.resolve().name for folder in plan.asset_folders), *AssetLibrary().packs}
+    if missing := sorted({credit.pack for credit in record.assets} - here):
+        raise UserError(
+            f"{plan.root} was made with the pack {missing[0]!r}, which is not there; run `multilight assets fetch "
+            f"{missing[0]}`, or name the folder of that name with --assets"
+        )
+    versions = {package: importlib.metadata.version(package) for package in record.versions if package in VERSIONS}
+    if other := [f"{p} {record.versions[p]}, now {v}" for p, v in versions.items() if v != record.versions[p]]:
+        print(f"{plan.root} was made with {'; '.join(other)}: scenes may come out otherwise", file=sys.stderr)
+
+
+def _open_record(plan: Plan, renderer: RendererName) -> DatasetRecord:
+    """Write `dataset.json`, or check that what is there was made with the same configuration and renderer."""
+    path = plan.root / "dataset.json"
+    variant = choose_variant().variant if renderer == "mitsuba" else ""
+    if not path.exists() and not scene_indices(plan.root):
+        if any(not p.name.startswith(".") for p in plan.root.iterdir()):
+            raise UserError(f"output folder {plan.root} holds other files and no dataset; choose an empty --out")
+        return _new_record(plan, renderer, variant)
+    if any((plan.root / name).exists() for name in COPIES):
+        raise UserError(f"{plan.root} is a packed copy or an export; the command that made it makes it anew")
+    try:
+        record = read_dataset(plan.root)
+    except StoreError as error:
+        return _restored_record(plan, renderer, variant, error)
+    if record.schema_version <= GHOSTS:
+        raise UserError(f"{plan.root} cannot be continued or repaired: {ANEW}")
+    if record.renderer != renderer:
+        raise UserError(
+            f"{plan.root} was made with renderer {record.renderer!r} and cannot be continued with {renderer!r}; "
+            f"use --renderer {record.renderer} or another --out"
+        )
+    if (record.variant == SCALAR) != (variant == SCALAR):
+        raise UserError(
+            f"{plan.root} was made with Mitsuba's variant {record.variant!r} and cannot be continued with {variant!r}, "
+            "whose surfaces look different; see `multilight doctor`, or use another --out"
+        )
+    old, new = record.config.model_dump(), plan.config.model_dump()
+    for key in sorted(set(old) - {"scenes", "renderer"}):
+        if old[key] != new[key]:
+            raise UserError(
+                f"{plan.root} was made with {key} = {old[key]!r}, not {new[key]!r}; "
+                "use the same value to continue it, or another --out"
+            )
+    if plan.config.scenes > record.config.scenes:
+        grown = record.config.model_copy(update={"scenes": plan.config.scenes})
+        record = record.model_copy(update={"config": grown}).sealed()
+        write_text(path, record.model_dump_json(indent=1))
+    return record
+
+
+def _new_record(plan: Plan, renderer: RendererName, variant: str) -> DatasetRecord:
+    """Write the `dataset.json` of a dataset that begins."""
+    versions = {package: importlib.metadata.version(package) for package in VERSIONS}
+    record = DatasetRecord(config=plan.config, renderer=renderer, variant=variant, versions=versions).sealed()
+    write_text(plan.root / "dataset.json", record.model_dump_json(indent=1))
+    return record
+
+
+def _restored_record(plan: Plan, renderer: RendererName, variant: str, error: StoreError) -> DatasetRecord:
+    """Write a damaged `dataset.json` anew from the options given, where every record that can be read agrees."""
+    how = f"give --repair and the options that {plan.root} was made with"
+    if not plan.repair:
+        raise UserError(f"{error}; to write it anew, {how}")
+    record = DatasetRecord(config=plan.config, renderer=renderer, versions={})
+    for index in scene_indices(plan.root):
+        with contextlib.suppress(StoreError):
+            if reason := record.misfit(read_scene(scene_dir(plan.root, index))):
+                raise UserError(f"{error}; to write it anew, {how}: of scene {index} {reason}")
+    print(f"{error}; it is written anew from the options given", file=sys.stderr)
+    return _new_record(plan, renderer, variant)
+
+
+def _broken_models(folders: tuple[Path, ...]) -> dict[str, str]:
+    """Name the models of the user's folders that cannot be used, with the reason."""
+    if not folders:
+        return {}
+    library = AssetLibrary(folders=folders)
+    for info in (*library.list("object"), *library.list("table")):
+        if info.size is None:
+            with contextlib.suppress(AssetError):
+                library.mesh(info.id)
+    return library.broken
+
+
+def _run(plan: Plan, renderer: RendererName, missing: Sequence[int], watch: _Watch) -> dict[int, str]:
+    workers = min(plan.workers, len(missing))
+    threads = max(1, len(os.sched_getaffinity(0)) // workers)
+    setup = WorkerSetup(plan.config, renderer, plan.root, plan.asset_folders, threads, os.getpid())
+    pool = ProcessPool(
+        max_workers=workers,
+        max_tasks=SCENES_A_WORKER,
+        context=multiprocessing.get_context("spawn"),
+    )
+    limit = _timeout(plan.config)
+    futures = {pool.schedule(run_scene, args=(setup, index), timeout=limit): index for index in missing}
+    try:
+        failures = _collect(plan, futures, watch)
+        pool.close()
+        pool.join()
+    except BaseException:
+        pool.stop()
+        pool.join()
+        # Half-made scenes are of no use to anyone, and on a full disk they are in the way.
+        shutil.rmtree(plan.root / "work", ignore_errors=True)
+        raise
+    return failures
+
+
+def _timeout(config: DatasetConfig) -> float:
+    renders = config.views * (1 + 2 * config.insertable)
+    megasamples = config.width * config.height * config.spp * renders / 1e6
+    return LEAST_TIMEOUT + SECONDS_A_MEGASAMPLE * megasamples
+
+
+def _collect(plan: Plan, futures: dict[ProcessFuture, int], watch: _Watch) -> dict[int, str]:
+    """Wait for all scenes, reporting progress by the views that lie on disk."""
+    failures: dict[int, str] = {}
+    waiting = dict(futures)
+    total = len(futures) * plan.config.views
+    while waiting:
+        time.sleep(0.2)
+        for future in [f for f in waiting if f.done()]:
+            index = waiting.pop(future)
+            if (reason := _failure(plan, index, future, watch)) is not None:
+                failures[index] = reason
+        finished = (len(futures) - len(waiting)) * plan.config.views
+        # Not pathlib's glob, which fails where a folder goes away meanwhile.
+        in_work = len(glob.glob("work/*/views/*.exr", root_dir=plan.root))
+        watch.report(min(finished + in_work, total), total)
+    return failures
+
+
+def _failure(plan: Plan, index: int, future: ProcessFuture, watch: _Watch) -> str | None:
+    """Return why a scene was not made, or None; what stops every scene (a full disk) is raised."""
+    where = f"seed {plan.config.seed}, log {log_path(plan.root, index)}"
+    try:
+        report = future.result()
+        watch.broken.update(report.broken)
+        for stage, seconds in report.seconds.items():
+            watch.seconds[stage] = watch.seconds.get(stage, 0.0) + seconds
+    except FutureTimeout:
+        return f"took longer than {_timeout(plan.config):.0f} s and was stopped ({where})"
+    except ProcessExpired as error:
+        return f"the worker died with exit code {error.exitcode} ({where})"
+    except RunStoppedError:
+        raise
+    except UserError as error:
+        return f"{error} ({where})"
+    except Exception as error:
+        return f"{type(error).__name__}: {error} ({where})"
+    return None

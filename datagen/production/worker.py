@@ -1,0 +1,105 @@
+"""What runs inside a worker process: one renderer, one scene after the other, output into a log per scene."""
+
+import atexit
+import contextlib
+import os
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from multilight.datagen.backends.choose import open_backend
+from multilight.datagen.backends.protocol import BackendError
+from multilight.datagen.config.dataset import DatasetConfig, RendererName
+from multilight.datagen.errors import RunStoppedError, UserError
+from multilight.datagen.production.library import open_library
+from multilight.datagen.production.scene import Maker, make_scene
+from multilight.scenes.assets.cache import tell_thrown_away
+
+
+@dataclass(frozen=True)
+class WorkerSetup:
+    """What a worker needs to start; picklable, renderer-free."""
+
+    config: DatasetConfig
+    renderer: RendererName
+    root: Path
+    asset_folders: tuple[Path, ...]
+    threads: int
+    parent: int
+
+
+def log_path(root: Path, index: int) -> Path:
+    """Return where a scene's log lies while it is made, and stays if it fails."""
+    return root / "logs" / f"{index:06d}.log"
+
+
+@cache
+def _maker(setup: WorkerSetup) -> Maker:
+    """Open the renderer, once for all scenes of this process; raises `RunStoppedError` where it cannot start."""
+    threading.Thread(target=_die_with, args=(setup.parent,), daemon=True).start()
+    library = open_library(setup.config, setup.asset_folders)
+    try:
+        # Never closed: the renderer lives as long as the process.
+        backend = open_backend(setup.renderer, library).__enter__()
+    except BackendError as error:
+        raise RunStoppedError(str(error)) from error
+    # Blender's own clean-up at exit now and then waits for ever on its sound thread; all that matters is on disk.
+    atexit.register(os._exit, 0)
+    return Maker(setup.config, setup.renderer, setup.root, library, backend, setup.threads)
+
+
+@dataclass(frozen=True)
+class WorkerReport:
+    """What a worker tells of a scene: seconds a stage, and the broken assets it has met so far (id → reason)."""
+
+    seconds: dict[str, float]
+    broken: dict[str, str]
+
+
+def run_scene(setup: WorkerSetup, index: int) -> WorkerReport:
+    """Make one scene in this worker; what it prints goes to the scene's log, which stays only on failure."""
+    path = log_path(setup.root, index)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with _output_to(path):
+        try:
+            maker = _maker(setup)
+            made = make_scene(maker, index)
+        except UserError:
+            raise
+        except BaseException:
+            traceback.print_exc()
+            raise
+    tell_thrown_away()
+    path.unlink(missing_ok=True)
+    return WorkerReport(made.seconds, maker.library.broken)
+
+
+def _die_with(parent: int) -> None:
+    """End this process soon after its parent has gone: an orphan must not go on writing."""
+    while os.getppid() == parent:
+        time.sleep(0.5)
+    os._exit(1)
+
+
+@contextlib.contextmanager
+def _output_to(path: Path) -> Iterator[None]:
+    """Send file descriptors 1 and 2 to a file: renderers print from native code."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    saved = os.dup(1), os.dup(2)
+    with path.open("w") as log:
+        os.dup2(log.fileno(), 1)
+        os.dup2(log.fileno(), 2)
+    try:
+        yield
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        for target, source in enumerate(saved, start=1):
+            os.dup2(source, target)
+            os.close(source)

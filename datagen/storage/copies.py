@@ -1,0 +1,233 @@
+"""Making a packed copy or an export: one run at a time, part by part, each whole or not at all, the manifest last.
+
+    with making(out, "usd", source, {}) as copy:
+        for record in source.scenes():
+            part = scene_part(source, record.index)
+            if not copy.keeps("scene_000000", part):
+                with whole_folder(out, "scene_000000") as folder:
+                    ...
+                copy.add("scene_000000", part, files_of(out, "scene_000000"))
+
+What was stopped goes on where it was: each part is written down as it is done. What is damaged, or made from another
+state of its scene, is made anew.
+"""
+
+import contextlib
+import importlib.metadata
+import shutil
+import uuid
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from pydantic import TypeAdapter, ValidationError
+
+from multilight.datagen.errors import UserError, full_disk_told
+from multilight.datagen.files.locks import LOCK, locked
+from multilight.datagen.storage.manifest import (
+    JOURNAL,
+    MANIFEST,
+    FileEntry,
+    Kind,
+    Manifest,
+    ScenePart,
+    Settings,
+    files_under,
+    hashed,
+    origin_of,
+    parse_manifest,
+    size_fault,
+    write_manifest,
+)
+from multilight.datagen.storage.source import DatasetSource
+from multilight.datagen.storage.store import file_inside
+from multilight.scenes.files.whole import write_whole
+
+WORK = "work"
+"""Folder in the root where parts are made."""
+Files = Mapping[str, FileEntry]
+_JOURNALLED: TypeAdapter[tuple[str, ScenePart, dict[str, FileEntry]]] = TypeAdapter(
+    tuple[str, ScenePart, dict[str, FileEntry]]
+)
+
+
+@contextlib.contextmanager
+def whole_folder(root: Path, name: str) -> Iterator[Path]:
+    """Lend an empty folder to be filled, and make it `root/name` at the end, in place of what is there."""
+    partial = root / WORK / uuid.uuid4().hex
+    partial.mkdir(parents=True)
+    try:
+        with full_disk_told(root):
+            yield partial
+            final = file_inside(root, name)  # whatever was put in the way
+            final.parent.mkdir(parents=True, exist_ok=True)
+            if final.is_dir() and not final.is_symlink():
+                shutil.rmtree(final)
+            else:
+                final.unlink(missing_ok=True)
+            partial.replace(final)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def files_of(root: Path, name: str) -> dict[str, FileEntry]:
+    """Hash all files of a finished folder; names are from the root."""
+    return dict(hashed(root, [f"{name}/{file}" for file in sorted(files_under(root / name))]))
+
+
+class Copy:
+    """A copy in the making. `changed` says whether anything was made in this run."""
+
+    def __init__(self, root: Path, head: Manifest, begun: Manifest) -> None:
+        """Take up what is recorded in `begun`, of earlier runs; `head` is the manifest to be, yet without files."""
+        self.root, self._head, self._begun, self.changed = root, head, begun, False
+        self._parts = dict(begun.parts)
+        self._files: dict[str, dict[str, FileEntry]] = {name: {} for name in self._parts}
+        for name, entry in begun.files.items():
+            folders = [str(parent) for parent in Path(name).parents]
+            owner = next((folder for folder in folders if folder in self._parts), None)
+            if owner is not None:
+                self._files[owner][name] = entry
+
+    @property
+    def parts(self) -> Mapping[str, ScenePart]:
+        """What is recorded already, of earlier runs as well."""
+        return self._parts
+
+    def keeps(self, name: str, part: ScenePart) -> bool:
+        """Say whether a folder is there, made from this very state of its scene, and as it was written, to the byte."""
+        files, folder = self._files.get(name, {}), self.root / name
+        if self._parts.get(name) != part or not folder.is_dir():
+            return False
+        found = {f"{name}/{file}": size for file, size in files_under(folder).items()}
+        return not any(size_fault(files, found)) and dict(hashed(self.root, files)) == files
+
+    def add(self, name: str, part: ScenePart, files: Files) -> None:
+        """Record a folder that is made, so that it is kept from now on."""
+        if not self.changed:
+            self._reopen()
+        self._parts[name], self._files[name] = part, dict(files)
+        self._append(name)
+
+    def holds(self, parts: Mapping[str, ScenePart]) -> bool:
+        """Say whether a finished copy that was made in one piece is that of these scenes, and as it was written.
+
+        Raises `UserError` where it is of others.
+        """
+        if not self._begun.parts:
+            return False
+        if self._parts != parts:
+            raise UserError(f"--out {self.root} is of other scenes, or of another state of them; give another folder")
+        found = {path.name: path.stat().st_size for path in self.root.iterdir() if path.is_file()}
+        wanted = {name: entry for name, entry in self._begun.files.items() if found.get(name) == entry.bytes}
+        return dict(hashed(self.root, wanted)) == self._begun.files
+
+    @contextlib.contextmanager
+    def filling(self) -> Iterator[Path]:
+        """Lend an empty folder for a copy that is made in one piece; its files go to the root at the end."""
+        work = self.root / WORK / "all"
+        work.mkdir(parents=True)
+        yield work
+        self._parts, self._files = {}, {}
+        self._reopen()
+        for old in self._begun.files:
+            (self.root / old).unlink(missing_ok=True)
+        for path in sorted(work.iterdir()):
+            path.replace(self.root / path.name)
+
+    def finish(self, *others: str, parts: Mapping[str, ScenePart] | None = None) -> None:
+        """Write the manifest, and remove what is left.
+
+        `others` are files in the root that were written besides; `parts` what went into a copy made in one piece.
+        """
+        self._parts |= parts or {}
+        shutil.rmtree(self.root / WORK, ignore_errors=True)
+        files = {name: entry for folder in self._files.values() for name, entry in folder.items()}
+        files |= dict(hashed(self.root, others))
+        whole = self._head.model_copy(update={"parts": dict(sorted(self._parts.items())), "files": files})
+        if self.changed or whole.sealed() != self._begun:
+            self.changed = True
+            write_manifest(self.root, whole)
+        (self.root / JOURNAL).unlink(missing_ok=True)
+
+    def _reopen(self) -> None:
+        """Write down what there is as unfinished."""
+        self.changed = True
+        with write_whole(self.root / JOURNAL) as work:
+            work.write_text(self._head.model_dump_json() + "\n")
+        for name in self._parts:
+            self._append(name)
+        (self.root / MANIFEST).unlink(missing_ok=True)
+
+    def _append(self, name: str) -> None:
+        with (self.root / JOURNAL).open("ab") as journal:
+            journal.write(_JOURNALLED.dump_json((name, self._parts[name], self._files[name])) + b"\n")
+
+
+@contextlib.contextmanager
+def making(root: Path, kind: Kind, source: DatasetSource, settings: Settings) -> Iterator[Copy]:
+    """Begin a copy or go on with it, alone in its folder.
+
+    Raises `UserError` where the folder cannot be written, is being made, is full, or holds something else: other files,
+    a copy of another dataset, or one made with other settings.
+    """
+    origin = origin_of(source)
+    head = Manifest(kind=kind, version=importlib.metadata.version("multilight"), source=origin, settings=settings)
+    with locked(root), full_disk_told(root):
+        begun = _begun(root)
+        if begun is None:
+            if any(path.name != LOCK for path in root.iterdir()):
+                raise UserError(
+                    f"--out {root} is not empty, and neither a packed copy nor an export with a {MANIFEST}; "
+                    "give another folder"
+                )
+        else:
+            _check_same(root, begun, head)
+            shutil.rmtree(root / WORK, ignore_errors=True)
+        copy = Copy(root, head, begun or head)
+        if begun is None:
+            copy._reopen()
+        try:
+            yield copy
+        except BaseException:
+            shutil.rmtree(root / WORK, ignore_errors=True)
+            if not copy.parts:  # nothing to go on with
+                (root / JOURNAL).unlink(missing_ok=True)
+            raise
+
+
+def _begun(root: Path) -> Manifest | None:
+    """Read what an earlier run has left: a journal, up to where it was cut, or a manifest."""
+    journal, path = root / JOURNAL, root / MANIFEST
+    if not journal.exists():
+        return parse_manifest(path.read_bytes(), str(path)) if path.exists() else None
+    lines = journal.read_bytes().splitlines()
+    try:
+        head = Manifest.from_json(lines[0].decode())
+    except (IndexError, UnicodeDecodeError, ValidationError):
+        raise UserError(f"{journal} is damaged; remove {root} and make it anew") from None
+    made: dict[str, tuple[ScenePart, dict[str, FileEntry]]] = {}
+    for line in lines[1:]:
+        with contextlib.suppress(ValidationError):  # what is cut was not finished, and is made anew
+            name, part, entries = _JOURNALLED.validate_json(line)
+            made[name] = part, entries
+    files = {file: entry for _, entries in made.values() for file, entry in entries.items()}
+    return head.model_copy(update={"parts": {name: part for name, (part, _) in made.items()}, "files": files})
+
+
+def _check_same(root: Path, begun: Manifest, wanted: Manifest) -> None:
+    if begun.kind != wanted.kind:
+        raise UserError(f"--out {root} holds {_named(begun)}, not {_named(wanted)}; give another folder")
+    if begun.source.configuration_sha256 != wanted.source.configuration_sha256:
+        raise UserError(
+            f"--out {root} holds another dataset: {_named(begun)}, not {_named(wanted)}; give another folder"
+        )
+    for key, value in wanted.settings.items():
+        if begun.settings.get(key) != value:
+            raise UserError(
+                f"--out {root} was made with {key} = {begun.settings.get(key)}, not {value}; give another folder"
+            )
+
+
+def _named(manifest: Manifest) -> str:
+    made = "packed copy" if manifest.kind == "packed" else f"export ({manifest.kind})"
+    return f"the {made} of {manifest.source.address}"

@@ -1,0 +1,135 @@
+"""Make the packed training copy of a dataset: the command `pack`.
+
+Same layout as the native one, but a view is `views/03.safetensors` (`datagen.storage.packed`), `visible.parquet` beside
+the index says which objects can be seen where, and `manifest.json` (`datagen.storage.manifest`) names every file with
+its hash.
+"""
+
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from multilight.datagen.errors import StoreError, UserError
+from multilight.datagen.storage.copies import Copy, files_of, making, whole_folder
+from multilight.datagen.storage.index import index_bytes
+from multilight.datagen.storage.manifest import FileEntry, scene_part
+from multilight.datagen.storage.packed import PackedView, pack_view, read_packed, value_fault, write_packed
+from multilight.datagen.storage.source import DatasetSource, open_dataset
+from multilight.datagen.storage.store import ViewData
+from multilight.datagen.storage.training_source import VISIBLE, packed_file, visible_rows
+from multilight.scenes.files.whole import write_whole
+
+Report = Callable[[float, float], None]
+
+
+@dataclass(frozen=True)
+class Packed:
+    """What a packed dataset amounts to: scenes made and kept, views, and bytes of the native and of the packed ones."""
+
+    made: int
+    kept: int
+    views: int
+    native: int
+    packed: int
+
+
+def pack_dataset(address: str, out: Path, *, workers: int, report: Report) -> Packed:
+    """Pack every scene that `out` lacks or holds damaged or from another state of the dataset.
+
+    A scene gets its name only when whole and read back. Raises `UserError` where `out` holds something else,
+    `StoreError` where a scene cannot be read.
+    """
+    source = open_dataset(address)
+    if source.filesystem.exists(f"{source.root}/{VISIBLE}"):
+        raise UserError(f"{address} is a packed dataset already")
+    with making(out, "packed", source, {}) as copy:
+        parts = {index: scene_part(source, index) for index in source.indices}
+        if gone := sorted({part.scene for part in copy.parts.values()} - set(parts)):
+            raise UserError(f"--out {out} holds scene {gone[0]}, which {address} has not; give another folder")
+        missing = [index for index, part in parts.items() if not copy.keeps(_folder(index), part)]
+        report(0, len(missing))
+        for done, (index, files) in enumerate(_pack_all(address, missing, out, workers), 1):
+            copy.add(_folder(index), parts[index], files)
+            report(done, len(missing))
+        return _finish(source, copy, len(missing))
+
+
+def _folder(index: int) -> str:
+    return f"scenes/{index:06d}"
+
+
+_Made = tuple[int, dict[str, FileEntry]]
+
+
+def _pack_all(address: str, indices: Sequence[int], out: Path, workers: int) -> Iterator[_Made]:
+    """Pack scenes, and tell of each as it is done."""
+    if workers == 1:
+        for index in indices:
+            yield pack_scene(address, index, out)
+        return
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        jobs = [pool.submit(pack_scene, address, index, out) for index in indices]
+        try:
+            for job in as_completed(jobs):
+                yield job.result()
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
+def pack_scene(address: str, index: int, out: Path) -> _Made:
+    """Pack one scene; returns its index and the hashes of its files."""
+    source = open_dataset(address, where=f"index = {index}")
+    record = source.scene(index)
+    with whole_folder(out, _folder(index)) as work:
+        for number, stated in enumerate(record.views):
+            view = source.view(record, number)
+            packed = pack_view(view, record, number)
+            if fault := value_fault(packed):
+                raise StoreError(f"{address}/{_folder(index)}/{stated.file}: {fault}; see: multilight verify {address}")
+            path = work / "views" / Path(packed_file(index, number)).name
+            write_packed(path, packed)
+            if fault := _difference(view, read_packed(path)):
+                raise StoreError(f"{path} does not read back as it was written: {fault}")
+        with source.local(f"{_folder(index)}/scene.json") as path:
+            shutil.copyfile(path, work / "scene.json")
+    return index, files_of(out, _folder(index))
+
+
+def _finish(source: DatasetSource, copy: Copy, made: int) -> Packed:
+    """Write what marks a dataset as whole, the index and the list of what can be seen, and count."""
+    rows, views, native, packed = [], 0, 0, 0
+    for record in source.scenes():
+        for number, view in enumerate(record.views):
+            path = copy.root / packed_file(record.index, number)
+            rows += visible_rows(record, number, read_packed(path))
+            views, native, packed = views + 1, native + view.bytes, packed + path.stat().st_size
+    _copy(source, "dataset.json", copy.root)
+    with write_whole(copy.root / "index.parquet") as work:
+        work.write_bytes(index_bytes(source.table))  # as it was read: the file may be damaged, or not there yet
+    with write_whole(copy.root / VISIBLE) as work:
+        pl.DataFrame(rows).write_parquet(work)
+    copy.finish("dataset.json", "index.parquet", VISIBLE)
+    return Packed(made, len(source.indices) - made, views, native, packed)
+
+
+def _copy(source: DatasetSource, name: str, root: Path) -> None:
+    with source.local(name) as original, write_whole(root / name) as work:
+        shutil.copyfile(original, work)
+
+
+def _difference(view: ViewData, packed: PackedView) -> str:
+    """Name the first variant whose values are not those of the native view, or nothing."""
+    for name, layers in view.variants.items():
+        if not np.array_equal(packed.variant(name), layers):
+            return name
+    for name, alpha in view.coverage.items():
+        if not np.array_equal(packed.object_coverage(name), alpha):
+            return f"coverage of {name}"
+    return "" if np.array_equal(packed.z_depth, view.geometry.z_depth) else "z_depth"

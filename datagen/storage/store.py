@@ -1,0 +1,319 @@
+"""The native layout: the only code that knows how a dataset lies on disk.
+
+    dataset.json                      configuration, renderer, versions, licences
+    index.parquet                     a row a scene
+    scenes/000123/scene.json          SceneRecord
+    scenes/000123/preview.png
+    scenes/000123/views/03.exr        one multi-part OpenEXR a view
+
+Parts of a view: `all`, `without_<object>`, `foreground_<object>` (layers, channels `<variant>.<light>.R|G|B`),
+`combined` (`combined.R|G|B`, the renderer's own all-lights picture, not denoised), and `geometry`. Where a denoised
+dataset keeps its raw layers, each variant comes a second time as it was rendered, with `raw_` before the part's and
+the channels' names: `raw_all`, `raw_all.<light>.R|G|B`, `raw_without_<object>`, `raw_foreground_<object>`.
+"""
+
+import hashlib
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+import OpenEXR
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from multilight.datagen.errors import StoreError
+from multilight.datagen.storage.layers import Float32, GeometryBuffers
+from multilight.datagen.storage.records import DatasetRecord, SceneRecord
+from multilight.scenes.files.inside import OutsideError, held, inside
+from multilight.scenes.files.whole import write_whole
+
+_Record = TypeVar("_Record", SceneRecord, DatasetRecord)
+COMPRESSION = OpenEXR.ZIP_COMPRESSION
+HALF_MAX = 65504.0
+RAW = "raw_"
+ALWAYS = {f"{name}.{c}" for name, channels in (
+    ("combined", "RGB"), ("normal_world", "XYZ"), ("albedo", "RGB"), ("z_depth", "Z"), ("roughness", "Y"),
+    ("metallic", "Y"), ("environment", "A"),
+) for c in channels} | {"instance_id.ID"}  # fmt: skip
+"""Channels that every view has."""
+COPIES = ("visible.parquet", "manifest.json")
+"""Files that only packed copies and exports of a dataset have."""
+MOST_RECORD = 1 << 25
+"""Bytes of a record; that of a scene with a hundred views takes a megabyte or two."""
+
+
+@dataclass(frozen=True)
+class ViewData:
+    """All that is stored of one view.
+
+    lights: names, in layer order; variants: `all`, `without_<object>`, `foreground_<object>` →
+    (L, H, W, 3) float32 linear radiance; coverage: object → (H, W) float32 in [0, 1]; combined (H, W, 3);
+    raw: the variants before denoising under the same names, where they were kept.
+    """
+
+    lights: tuple[str, ...]
+    variants: Mapping[str, Float32]
+    coverage: Mapping[str, Float32]
+    geometry: GeometryBuffers
+    combined: Float32 = field(repr=False)
+    raw: Mapping[str, Float32] = field(default_factory=dict, repr=False)
+
+
+def scene_dir(root: Path, index: int) -> Path:
+    """Return a scene's folder."""
+    return root / scene_folder(index)
+
+
+def file_inside(folder: Path, name: str) -> Path:
+    """Return the path of a file that a record names; raises `StoreError` where it would lie outside of the folder."""
+    try:
+        return inside(folder, name)
+    except OutsideError as error:
+        raise StoreError(f"{folder}: {error}") from None
+
+
+def check_links(root: Path) -> None:
+    """Raise `StoreError` where something in a dataset's folder is a link that leads out of it, so writing would too."""
+    for path in (p for p in (*root.iterdir(), *root.glob("scenes/*")) if p.is_symlink()):
+        try:
+            held(root, path)
+        except OutsideError as error:
+            raise StoreError(f"{error}; remove the link") from None
+
+
+def scene_folder(index: int) -> str:
+    """Return the name of a scene's folder inside its dataset."""
+    return f"scenes/{index:06d}"
+
+
+def scene_number(name: str) -> int | None:
+    """Return the index of the scene whose folder has this name; None where that is no scene's."""
+    return int(name) if re.fullmatch("[0-9]{6,9}", name) and f"{int(name):06d}" == name else None
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file, whole or not at all."""
+    with write_whole(path) as work:
+        work.write_text(text)
+
+
+def file_sha256(path: Path) -> str:
+    """Hash a file's bytes (64 hex digits)."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def write_view(path: Path, view: ViewData) -> None:
+    """Write one view as a multi-part OpenEXR file; radiance as half float, or float where half would overflow."""
+    stored = dict(view.variants) | {RAW + variant: layers for variant, layers in view.raw.items()}
+    parts = [_layers_part(part, view.lights, layers) for part, layers in stored.items()]
+    parts.append(_part("combined", _color_channels("combined", in_half(view.combined))))
+    parts.append(_part("geometry", _geometry_channels(view.geometry, view.coverage)))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    OpenEXR.File(parts).write(str(path))
+
+
+def read_view(path: Path, stated: tuple[SceneRecord, int] | None = None) -> ViewData:
+    """Read one view back; raises `StoreError` naming the file where it is missing, truncated or foreign.
+
+    `stated` are a scene's record and the number of the view, where the file is to be held to them before anything is
+    decoded.
+    """
+    if not path.is_file():
+        raise StoreError(f"{path} is missing")
+    if stated is not None:
+        check_header(path, *stated)
+    channels = _read_channels(path)
+    groups: dict[str, dict[str, None]] = {}
+    for name in channels:
+        variant, _, rest = name.partition(".")
+        if rest.count(".") == 1:
+            groups.setdefault(variant, {})[rest.split(".")[0]] = None
+    try:
+        lights = tuple(sorted(groups["all"]))
+        stored = {part: np.stack([_color(channels, f"{part}.{light}") for light in lights]) for part in groups}
+        return ViewData(
+            lights=lights,
+            variants={part: layers for part, layers in stored.items() if not part.startswith(RAW)},
+            coverage={
+                name[len("coverage_") : -2]: channels[name].astype(np.float32)
+                for name in channels
+                if name.startswith("coverage_")
+            },
+            geometry=_geometry(channels),
+            combined=_color(channels, "combined"),
+            raw={part[len(RAW) :]: layers for part, layers in stored.items() if part.startswith(RAW)},
+        )
+    except KeyError as error:
+        raise StoreError(f"{path}: channel {error} is missing; damaged, or not a view of this layout") from None
+
+
+def read_scene(folder: Path) -> SceneRecord:
+    """Read `scene.json` of a scene's folder; raises `StoreError` naming the file and the reason."""
+    return parse_scene(_read_bytes(file_inside(folder, "scene.json")), str(folder / "scene.json"))
+
+
+def read_dataset(root: Path) -> DatasetRecord:
+    """Read `dataset.json`; raises `StoreError` naming the file and the reason."""
+    return parse_dataset(_read_bytes(file_inside(root, "dataset.json")), str(root / "dataset.json"))
+
+
+def parse_scene(content: bytes, name: str) -> SceneRecord:
+    """Understand the content of a `scene.json`; raises `StoreError` with `name` and the reason."""
+    record = _parse(content, name, SceneRecord)
+    if fault := next(record.contradictions(), ""):
+        raise StoreError(f"{name} contradicts itself: {fault}")
+    return record
+
+
+def parse_dataset(content: bytes, name: str) -> DatasetRecord:
+    """Understand the content of a `dataset.json`; raises `StoreError` with `name` and the reason."""
+    return _parse(content, name, DatasetRecord)
+
+
+def scene_indices(root: Path) -> list[int]:
+    """List the finished scenes of a dataset in order."""
+    folder = root / "scenes"
+    if not folder.is_dir():
+        return []
+    found = ((scene_number(p.name), p) for p in folder.iterdir() if not p.is_symlink())
+    return sorted(number for number, p in found if number is not None and (p / "scene.json").is_file())
+
+
+def check_record_size(size: int, name: str) -> None:
+    """Raise `StoreError` where a record is larger than any that was written."""
+    if size > MOST_RECORD:
+        raise StoreError(f"{name} holds {size} bytes, a record at most {MOST_RECORD}; it is not read")
+
+
+def _read_bytes(path: Path) -> bytes:
+    try:
+        check_record_size(path.stat().st_size, str(path))
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise StoreError(f"{path} is missing: not a dataset, or not finished") from None
+    except OSError as error:
+        raise StoreError(f"{path} cannot be read: {error}") from None
+
+
+def _parse(content: bytes, name: str, kind: type[_Record]) -> _Record:
+    try:
+        return kind.from_json(content.decode())
+    except UnicodeDecodeError as error:
+        raise StoreError(f"{name} cannot be read: {error}") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        told = first["msg"].removeprefix("Value error, ")
+        raise StoreError(f"{name} is damaged or of another version: {key or 'content'}: {told}") from None
+
+
+def as_stored(layers: Float32) -> Float32:
+    """Return (L, H, W, 3) radiance as it reads back: each layer in half precision, or as it is where that overflows."""
+    return np.stack([in_half(layer).astype(np.float32) for layer in layers])
+
+
+def in_half(values: Float32) -> NDArray[np.floating]:
+    """Return radiance as half floats, or as it is where these would overflow: nothing is clamped."""
+    return values.astype(np.float16) if float(values.max(initial=0.0)) <= HALF_MAX else values
+
+
+def _color_channels(prefix: str, image: NDArray[np.floating]) -> dict[str, NDArray[np.generic]]:
+    return {f"{prefix}.{c}": np.ascontiguousarray(image[..., i]) for i, c in enumerate("RGB")}
+
+
+def _part(name: str, channels: Mapping[str, NDArray[np.generic]]) -> OpenEXR.Part:
+    header = {"compression": COMPRESSION, "type": OpenEXR.scanlineimage}
+    return OpenEXR.Part(header, dict(channels), name)
+
+
+def _layers_part(variant: str, lights: tuple[str, ...], layers: Float32) -> OpenEXR.Part:
+    channels: dict[str, NDArray[np.generic]] = {}
+    for light, layer in zip(lights, layers, strict=True):
+        channels |= _color_channels(f"{variant}.{light}", in_half(layer))
+    return _part(variant, channels)
+
+
+def _geometry_channels(geometry: GeometryBuffers, coverage: Mapping[str, Float32]) -> dict[str, NDArray[np.generic]]:
+    half = np.float16
+    return {
+        "z_depth.Z": geometry.z_depth.astype(np.float32),
+        **{
+            f"normal_world.{c}": np.ascontiguousarray(geometry.normal_world[..., i], dtype=half)
+            for i, c in enumerate("XYZ")
+        },
+        **_color_channels("albedo", geometry.albedo.astype(half)),
+        "roughness.Y": geometry.roughness.astype(half),
+        "metallic.Y": geometry.metallic.astype(half),
+        "instance_id.ID": geometry.instance_id.astype(np.uint32),
+        "environment.A": geometry.environment.astype(half),
+        **{f"coverage_{name}.A": alpha.astype(half) for name, alpha in coverage.items()},
+    }
+
+
+def check_header(path: Path, record: SceneRecord, number: int) -> None:
+    """Hold a view's file to its scene's record before any pixel is decoded: size, parts and channels.
+
+    Raises `StoreError` naming what differs.
+    """
+    view, header = record.views[number], _header(path)
+    names = record.scene.insertable
+    variants = {"all"} | {f"{action}_{name}" for action in ("without", "foreground") for name in names}
+    layers = {f"{variant}.{light}.{c}" for variant in variants for light in record.rig.names for c in "RGB"}
+    wanted = layers | {f"coverage_{name}.A" for name in names} | ALWAYS
+    found = set(header)
+    if any(RAW + name in found for name in layers):
+        wanted |= {RAW + name for name in layers}
+    if found != wanted:
+        lacks = sorted(wanted - found)
+        told = f"lacks the channel {lacks[0]!r}" if lacks else f"has a channel {min(found - wanted)!r} of nothing there"
+        raise StoreError(f"{path} {told}; damaged, or not the view that scene.json states")
+    if sizes := sorted({size for size in header.values() if size != (view.width, view.height)}):
+        raise StoreError(
+            f"{path} is {sizes[0][0]} x {sizes[0][1]} pixels, scene.json states {view.width} x {view.height}"
+        )
+
+
+def _header(path: Path) -> dict[str, tuple[int, int]]:
+    """Return the width and height of each channel as a file's headers state them."""
+    found: dict[str, tuple[int, int]] = {}
+    try:
+        for part in OpenEXR.File(str(path), header_only=True).parts:
+            low, high = part.header["dataWindow"]
+            width, height = (int(side) for side in np.subtract(high, low, dtype=np.int64) + 1)
+            for channel in part.header["channels"]:
+                found[channel.name] = width // channel.xSampling, height // channel.ySampling
+    except Exception as error:  # the binding raises bare RuntimeError and others for damaged files
+        raise StoreError(f"{path} cannot be decoded (truncated or damaged): {error}") from None
+    return found
+
+
+def _read_channels(path: Path) -> dict[str, NDArray[np.generic]]:
+    try:
+        parts = OpenEXR.File(str(path), separate_channels=True).parts
+        pixels = {name: channel.pixels for part in parts for name, channel in part.channels.items()}
+    except Exception as error:  # the binding raises bare RuntimeError and others for damaged files
+        raise StoreError(f"{path} cannot be decoded (truncated or damaged): {error}") from None
+    # Of parts that it cannot decode the binding only prints a warning, and leaves them out.
+    if [part.part_index for part in parts] != list(range(len(parts))):
+        raise StoreError(f"{path} cannot be decoded (truncated or damaged): parts of it are lost")
+    return pixels
+
+
+def _color(channels: Mapping[str, NDArray[np.generic]], prefix: str) -> Float32:
+    return np.stack([channels[f"{prefix}.{c}"] for c in "RGB"], axis=-1).astype(np.float32)
+
+
+def _geometry(channels: Mapping[str, NDArray[np.generic]]) -> GeometryBuffers:
+    return GeometryBuffers(
+        z_depth=channels["z_depth.Z"].astype(np.float32),
+        normal_world=np.stack([channels[f"normal_world.{c}"] for c in "XYZ"], axis=-1).astype(np.float32),
+        albedo=_color(channels, "albedo"),
+        roughness=channels["roughness.Y"].astype(np.float32),
+        metallic=channels["metallic.Y"].astype(np.float32),
+        instance_id=channels["instance_id.ID"].astype(np.uint16),
+        environment=channels["environment.A"].astype(np.float32),
+    )

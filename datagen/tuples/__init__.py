@@ -1,0 +1,1 @@
+"""From layers to pictures: mixing, compositing, exposure, contact sheets."""

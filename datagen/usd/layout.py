@@ -1,0 +1,16 @@
+"""The layout of the project's own stages: what is where, shared by the writer and the reader."""
+
+from multilight.scenes.assets.formats.usd.names import OWN
+
+WORLD = "/world"
+BODIES, LIGHTS, CAMERAS, MATERIALS = (f"{WORLD}/{name}" for name in ("bodies", "lights", "cameras", "materials"))
+RENDER = "/render"
+SCHEMA = 1
+"""Version of this layout."""
+SENSOR = 0.36
+"""Width of the sensor in tenths of a metre, USD's unit for apertures: 36 mm."""
+
+
+def own(name: str) -> str:
+    """Return the name of an attribute of the project's own."""
+    return f"{OWN}:{name}"

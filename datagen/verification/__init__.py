@@ -1,0 +1,1 @@
+"""What was made holds: identities of each view, hashes of a dataset, manifests of copies."""

@@ -1,0 +1,281 @@
+"""Check what a scene's views hold: finite values, and the identities that make the data true.
+
+That all files are there, whole and unchanged, is checked by `datagen.verification.dataset`.
+"""
+
+from collections.abc import Callable, Collection, Iterator
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.ndimage import binary_erosion
+
+from multilight.datagen.errors import StoreError
+from multilight.datagen.storage.layers import Float32
+from multilight.datagen.storage.records import SceneRecord
+from multilight.datagen.storage.store import ViewData, as_stored, file_inside, file_sha256, read_scene, read_view
+from multilight.datagen.tuples import compose
+from multilight.datagen.tuples.exposure import BRIGHT, DARK
+from multilight.datagen.verification.residuals import SIDES, residual
+from multilight.lights.display.tonemap import luminance
+from multilight.lights.spec import LightingCondition
+from multilight.scenes.cameras.pinhole import reprojection_error
+
+ADDITIVITY = 1e-3  # raw layers against the renderer's own picture: float32 sums of half a dozen layers
+FAR = 0.2
+"""Of the local radiance, beyond noise: how far blocks of a denoised layer may be from what was rendered."""
+OVERLAP = 0.005  # rounding of half floats where coverages add up to one
+HALF = 2e-3  # twice the relative spacing of half floats, after sums
+REPROJECTION_SHARE = 0.97  # pixels that must land on or behind the other view's surface
+DEPTH_ERROR = 2e-3  # relative, median over smooth surfaces
+FIREFLY = 50.0  # times the brightest neighbour, and brighter than white
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One thing that is wrong, in the words a user needs; `scene` is None where it concerns the whole dataset."""
+
+    scene: int | None
+    view: int | None
+    check: str
+    message: str
+
+
+CHECKS = (
+    "files",
+    "index",
+    "finite",
+    "additivity",
+    "composite",
+    "masks",
+    "exposure",
+    "fireflies",
+    "removal",
+    "reprojection",
+)
+
+
+def verify_scene(folder: Path) -> list[Fault]:
+    """Check one scene's folder and return its faults (none: the scene is sound)."""
+    try:
+        record = read_scene(folder)
+    except StoreError as error:
+        index = int(folder.name) if folder.name.isdigit() else -1
+        return [Fault(index, None, "files", str(error))]
+    return verify_views(record, lambda name: nullcontext(file_inside(folder, name)))
+
+
+Lend = Callable[[str], AbstractContextManager[Path]]
+"""Lends a file of a scene's folder by its name there."""
+
+
+def verify_views(record: SceneRecord, lend: Lend, *, left_out: Collection[int] = ()) -> list[Fault]:
+    """Check the hashes and contents of a scene's views, but for those that are known to be missing or cut."""
+    faults: list[Fault] = []
+    before: ViewData | None = None
+    for number, stated in enumerate(record.views):
+        view: ViewData | None = None
+        if number not in left_out:
+            try:
+                with lend(stated.file) as path:
+                    if file_sha256(path) != stated.file_sha256:
+                        raise StoreError(f"{stated.file} was changed: its hash is not the one in scene.json")
+                    view = read_view(path, (record, number))
+                faults += verify_view(record, number, view)
+            except (StoreError, OSError) as error:
+                faults.append(Fault(record.index, number, "files", str(error)))
+        if before is not None and view is not None:
+            faults += verify_pair(record, (number - 1, before), (number, view))
+        before = view
+    return faults
+
+
+def verify_view(record: SceneRecord, number: int, view: ViewData) -> list[Fault]:
+    """Check one view's content against the scene's record."""
+    return verify_rendered(record, number, view) + verify_exposure(record, number, brightness(record, view))
+
+
+def verify_rendered(record: SceneRecord, number: int, view: ViewData, made: ViewData | None = None) -> list[Fault]:
+    """Check what of one view can be checked before other views are rendered and exposures metered.
+
+    `made` is what `view` should hold, where that is known.
+    """
+    found = [
+        *(("files", m) for m in (() if made is None else _stored(view, made))),
+        *(("files", m) for m in _content(record, number, view)),
+        *(("finite", m) for m in _finite(view)),
+        *(("additivity", m) for m in _additivity(record, number, view)),
+        *(("masks", m) for m in _masks(record, view)),
+    ]
+    if not any(check in ("files", "finite") for check, _ in found):
+        found += [("composite", m) for m in _composite(record, view)]
+        found += [("removal", m) for m in _removal(record, view)]
+    return [Fault(record.index, number, check, message) for check, message in found]
+
+
+def _content(record: SceneRecord, number: int, view: ViewData) -> Iterator[str]:
+    names = record.scene.insertable
+    wanted = {"all"} | {f"{action}_{name}" for action in ("without", "foreground") for name in names}
+    if set(view.variants) != wanted:
+        yield f"variants are {sorted(view.variants)}, expected {sorted(wanted)}"
+    if view.raw and set(view.raw) != wanted:
+        yield f"raw variants are {sorted(view.raw)}, expected {sorted(wanted)}"
+    if set(view.lights) != set(record.rig.names):
+        yield f"layers are {sorted(view.lights)}, the rig has {sorted(record.rig.names)}"
+    camera = record.scene.cameras[number]
+    if view.geometry.z_depth.shape != (camera.height, camera.width):
+        yield f"image is {view.geometry.z_depth.shape}, the camera {camera.height} x {camera.width}"
+
+
+def _stored(view: ViewData, made: ViewData) -> Iterator[str]:
+    """Hold what was read back to what was written: its residuals are known, and hold for what is on disk."""
+    order = [made.lights.index(light) for light in view.lights]
+    for variant, layers in made.variants.items():
+        if variant in view.variants and not np.array_equal(view.variants[variant], as_stored(layers[order])):
+            yield f"{variant} reads back other than it was written"
+
+
+def _finite(view: ViewData) -> Iterator[str]:
+    for variant, layers in (*view.variants.items(), *((f"raw {name}", raw) for name, raw in view.raw.items())):
+        for light, layer in zip(view.lights, layers, strict=True):
+            if not np.isfinite(layer).all() or layer.min() < 0:
+                yield f"{variant}.{light} holds NaN, infinite or negative radiance"
+    if not np.isfinite(view.geometry.z_depth).all() or view.geometry.z_depth.min() < 0:
+        yield "z_depth holds NaN, infinite or negative values"
+    lengths = np.linalg.norm(view.geometry.normal_world, axis=-1)[view.geometry.instance_id > 0]
+    if lengths.size and np.abs(lengths - 1).max() > 0.02:
+        yield f"normal_world is not of unit length (off by {np.abs(lengths - 1).max():.3f})"
+
+
+def _additivity(record: SceneRecord, number: int, view: ViewData) -> Iterator[str]:
+    stated = record.views[number]
+    if not stated.additivity <= ADDITIVITY:  # so that NaN is a fault, too
+        yield f"raw layers differ from the combined render by {stated.additivity:.2e} (limit {ADDITIVITY:.0e})"
+    total, combined = view.variants["all"].sum(axis=0), view.combined
+    rendered = view.raw["all"].sum(axis=0) if view.raw else None if record.denoised else total
+    if rendered is not None and (off := _off(rendered, combined, np.ones(total.shape[:2], bool))) > 2 * HALF:
+        yield f"stored layers differ from the combined render by {off:.2e} (limit {2 * HALF:.0e})"
+    if record.denoised:
+        yield from _denoised(view)
+
+
+def _denoised(view: ViewData) -> Iterator[str]:
+    """Hold the denoised layers to what was rendered: their sum to `combined`, each of them where it was kept."""
+    layers = {"the sum of all layers": (view.variants["all"].sum(axis=0), view.combined)}
+    for variant, rendered in view.raw.items():
+        for light, pair in zip(view.lights, zip(view.variants[variant], rendered, strict=True), strict=True):
+            layers[f"{variant}.{light}"] = pair
+    anywhere = np.ones(view.combined.shape[:2], bool)
+    for name, pair in layers.items():
+        if (far := residual(*pair, anywhere, least_side=SIDES[-1])[0]) > FAR:
+            yield f"{name} differs from what was rendered by {far:.2f} more than noise explains (limit {FAR})"
+
+
+def _composite(record: SceneRecord, view: ViewData) -> Iterator[str]:
+    condition = record.conditions[-1]
+    truth = compose.target(view, condition)
+    for name in record.scene.insertable:
+        pasted = compose.composite(view, name, insert=condition, base=condition)
+        empty = compose.background(view, name, condition)
+        alpha = view.coverage[name]
+        if _off(pasted, empty, alpha <= 0) > HALF:
+            yield f"composite of {name} differs from the background outside the object"
+        if _off(pasted, truth, alpha >= 1) > HALF:
+            yield f"composite of {name} under one lighting differs from the target inside the object"
+
+
+def _off(a: Float32, b: Float32, where: np.ndarray) -> float:
+    if not where.any():
+        return 0.0
+    scale = np.abs(b[where]) + 1e-3 * float(np.abs(b).mean()) + 1e-12
+    return float((np.abs(a[where] - b[where]) / scale).max())
+
+
+STRAY = 0.01
+"""Share of an object's inner pixels whose centre may see something else, through a gap that all samples missed."""
+
+
+def _masks(record: SceneRecord, view: ViewData) -> Iterator[str]:
+    ids, environment = view.geometry.instance_id, view.geometry.environment
+    if ids.max() > len(record.scene.bodies):
+        yield f"instance_id {ids.max()} is beyond the scene's {len(record.scene.bodies)} bodies"
+    total = sum(view.coverage.values(), start=environment)
+    if total.max() > 1 + OVERLAP:
+        yield f"coverages and environment add up to {total.max():.3f} in a pixel"
+    for name, alpha in view.coverage.items():
+        # Away from the outline: where few samples all hit the object, the pixel's centre may still lie beside it.
+        inside = binary_erosion(alpha >= 0.999, np.ones((3, 3)))
+        wrong = np.count_nonzero(ids[inside] != record.scene.instance_id(name))
+        if wrong > 1 + STRAY * np.count_nonzero(inside):
+            yield f"{wrong} pixels wholly covered by {name} carry another instance_id"
+    if ((view.geometry.z_depth > 0) != (ids > 0)).any():
+        yield "z_depth and instance_id disagree on where there is geometry"
+
+
+@dataclass(frozen=True)
+class Brightness:
+    """How bright a view is at 0 EV: luminances a condition (median, 95th percentile), and of the brightest pixel
+    that outshines all its neighbours with all lights on (0: there is none)."""
+
+    median: tuple[float, ...]
+    high: tuple[float, ...]
+    spike: float
+
+
+def brightness(record: SceneRecord, view: ViewData) -> Brightness:
+    """Measure what `verify_exposure` needs, so that no picture must be kept until the exposures are metered."""
+    unexposed = [condition.model_copy(update={"exposure_ev": 0.0}) for condition in record.conditions]
+    pictures = [np.percentile(luminance(compose.target(view, condition)), [50, 95]) for condition in unexposed]
+    medians, highs = np.transpose(pictures)
+    everything = LightingCondition(name="all", gains=dict.fromkeys(view.lights, (1.0, 1.0, 1.0)))
+    picture = luminance(compose.target(view, everything))
+    padded = np.pad(picture, 1, mode="reflect")
+    height, width = picture.shape
+    shifts = [(y, x) for y in range(3) for x in range(3) if (y, x) != (1, 1)]
+    neighbours = np.max([padded[y : y + height, x : x + width] for y, x in shifts], axis=0)
+    spike = float(picture.max(initial=0.0, where=picture > FIREFLY * neighbours))
+    return Brightness(tuple(medians.tolist()), tuple(highs.tolist()), spike)
+
+
+def verify_exposure(record: SceneRecord, number: int, seen: Brightness) -> list[Fault]:
+    """Check that no lighting condition leaves a view black, blown out or with fireflies."""
+    faults = []
+    for condition, median, high in zip(record.conditions, seen.median, seen.high, strict=True):
+        gain = 2.0**condition.exposure_ev
+        if high * gain < DARK:
+            message = f"black, the brightest twentieth reaches {high * gain:.4f} (least {DARK})"
+            faults.append(Fault(record.index, number, "exposure", f"condition {condition.name}: {message}"))
+        if median * gain > BRIGHT:
+            message = f"blown out, median luminance {median * gain:.2f} (most {BRIGHT})"
+            faults.append(Fault(record.index, number, "exposure", f"condition {condition.name}: {message}"))
+    if seen.spike * 2.0 ** record.conditions[0].exposure_ev > 1.0:
+        message = f"a pixel brighter than white is over {FIREFLY:.0f} times brighter than all its neighbours"
+        faults.append(Fault(record.index, number, "fireflies", message))
+    return faults
+
+
+def _removal(record: SceneRecord, view: ViewData) -> Iterator[str]:
+    everything = LightingCondition(name="all", gains=dict.fromkeys(view.lights, (1.0, 1.0, 1.0)))
+    for name, alpha in view.coverage.items():
+        change = np.abs(compose.effect(view, name, everything))
+        seen = alpha >= 1
+        if seen.sum() > 16 and not change[seen].any():
+            yield f"removing {name} changes nothing where it was"
+
+
+def verify_pair(record: SceneRecord, first: tuple[int, ViewData], second: tuple[int, ViewData]) -> list[Fault]:
+    """Carry each view's depth into the other: depth that is too small shows one way, too large the other."""
+    faults = []
+    for (a, view_a), (b, view_b) in ((first, second), (second, first)):
+        cameras = record.scene.cameras
+        found = reprojection_error(view_a.geometry.z_depth, cameras[a], view_b.geometry.z_depth, cameras[b])
+        if found.compared == 0:
+            continue
+        if found.consistent < REPROJECTION_SHARE or found.median_relative_error > DEPTH_ERROR:
+            message = (
+                f"{found.consistent:.1%} of the depth agrees with view {b} (least {REPROJECTION_SHARE:.0%}), "
+                f"median error {found.median_relative_error:.2e} (most {DEPTH_ERROR:.0e})"
+            )
+            faults.append(Fault(record.index, a, "reprojection", message))
+    return faults

@@ -1,0 +1,1 @@
+"""From radiance to what is shown: tone curves."""

@@ -1,0 +1,1 @@
+"""Arithmetic on light: colour, radiometry, irradiance, luminaire profiles, angles."""

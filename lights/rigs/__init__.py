@@ -1,0 +1,1 @@
+"""Rigs of lights, drawn for each kind of scene."""

@@ -1,0 +1,248 @@
+"""The lights of a room: daylight through its windows, its lamps, screens, candles and fires, in photometric ranges.
+
+Daylight is set by the illuminance on the outer face of a window, lamps by the luminous flux of what is sold for the
+purpose, scaled so that together they light the floor like a living room; screens and fires by luminance.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multilight.lights.display.tonemap import luminance
+from multilight.lights.photometry.colour import gel_rgb, random_gel, temperature_to_rgb
+from multilight.lights.photometry.radiometry import (
+    area_radiance_from_flux,
+    rgb_from_scalar,
+    spot_intensity_from_flux,
+    watts_from_photometric,
+)
+from multilight.lights.rigs.balance import scaled
+from multilight.lights.rigs.design import rig_design
+from multilight.lights.rigs.lamps import log_uniform
+from multilight.lights.rigs.windows import daylight, sunlight
+from multilight.lights.spec import AreaLight, EmissiveLight, Light, LightRig, SpotLight
+from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.cameras.pinhole import matrix4
+from multilight.scenes.frozen import Rgb
+from multilight.scenes.geometry.rays import body_triangles
+from multilight.scenes.materials import GLOW
+from multilight.scenes.materials.emission import sample_glow
+from multilight.scenes.spec import Body, MeshAsset, SceneSpec, Texture
+from multilight.scenes.streams import Streams
+
+MOST_LIGHTS = 8
+DAY_LUX = (200.0, 1200.0)
+"""Illuminance on a window from outside by day [lx]: rain clouds to an overcast noon behind trees and houses."""
+DUSK_LUX = (15.0, 120.0)
+ROOM_LUX = (80.0, 350.0)
+"""Mean illuminance of the floor by lamps [lx]: a cosy to a well-lit room (EN 12464-1 asks 300 for reading)."""
+UTILISATION = 0.4
+"""Share of the lamps' flux that reaches the floor, directly and by way of walls and ceiling."""
+FLUX: dict[str, tuple[float, float]] = {
+    "ceilinglamp": (1200.0, 3500.0), "ceiling_lamp": (1200.0, 3500.0), "pendant": (600.0, 1600.0),
+    "floorlamp": (600.0, 1600.0), "floor_lamp": (600.0, 1600.0), "tablelamp": (300.0, 800.0),
+    "big_table_lamp": (300.0, 800.0), "lamp": (150.0, 600.0), "fireplace": (200.0, 600.0), "candle": (10.0, 20.0),
+}  # fmt: skip
+"""Luminous flux [lm] by category: household lamps; a candle of 1 cd gives 4 pi lm."""
+GELS = 0.05
+"""Share of a room's own lamps that shine in a saturated colour."""
+SCREEN_NITS = (90.0, 350.0)
+"""Luminance of screens [cd/m²]."""
+_FLAMES = ("flame", "vela")
+
+Float64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class _Glow:
+    """A part of a body that may shine: what it is, its area [m²], and whether its removal is rendered."""
+
+    body: Body
+    part: int
+    kind: str
+    area: float
+
+    @property
+    def bright(self) -> bool:
+        """Whether it can light a room."""
+        return FLUX.get(self.kind, (0.0, 0.0))[1] > 500
+
+
+def sample_room_rig(
+    streams: Streams, scene: SceneSpec, library: AssetLibrary, *, lights: tuple[int, int] = (1, MOST_LIGHTS)
+) -> LightRig:
+    """Draw the lights of a room scene: what is named `GLOW` shines, windows bring daylight or dusk, or none.
+
+    `lights` (fewest, most): what glows among the inserted objects comes first, then daylight or the brightest lamp,
+    then others of the room's own; recessed downlights make up what the room lacks. Raises `ValueError` for a scene
+    without windows and without anything that can shine.
+    """
+    rng = streams("rig")
+    glows = _glows(rng, scene, library)
+    windows = [body for body in scene.bodies if body.category == "window"]
+    if not windows and not glows:
+        raise ValueError(f"scene {scene.index} has neither windows nor lamps, so nothing can light it")
+    hour = str(rng.choice(["day", "dusk", "night"], p=[0.66, 0.22, 0.12]))
+    if sum(glow.bright for glow in glows) < 2 or not windows:
+        hour = "day" if windows else "night"
+    inserted = sum(glow.body.insertable for glow in glows)
+    count = min(max(rig_design(streams).lights, 1 + inserted, lights[0]), lights[1])
+    day: list[Light] = []
+    if hour != "night":
+        sky_lux = log_uniform(rng, *(DAY_LUX if hour == "day" else DUSK_LUX))
+        day.append(daylight(rng, windows, library, sky_lux))
+        if hour == "day" and rng.random() < 0.6:
+            day.append(sunlight(rng, windows, sky_lux))
+    # By night the brightest lamp is what daylight is by day: always on.
+    first = min(inserted + (not day), len(glows))
+    optional: list[Light | _Glow] = [*day[1:], *glows[first:]]
+    optional = [optional[int(i)] for i in rng.permutation(len(optional))]
+    chosen = [*glows[:first], *day[:1], *optional][:count]
+    spots = _downlights(rng, scene, lights[0] - len(chosen), most=count - len(chosen))
+    shining = [_shining(rng, glow, library) for glow in chosen if isinstance(glow, _Glow)]
+    lamps = _scaled_to(log_uniform(rng, *ROOM_LUX) * _floor_area(scene, library), shining, glows)
+    return LightRig(lights=(*(light for light in chosen if not isinstance(light, _Glow)), *lamps, *spots))
+
+
+def _scaled_to(wanted: float, lamps: list[EmissiveLight], glows: list[_Glow]) -> list[Light]:
+    """Make lamps as strong as a room asks that wants `wanted` lumens on its floor, within what is sold."""
+    flux = sum(_flux(light, glows) for light in lamps)
+    factor = float(np.clip(wanted / UTILISATION / max(flux, 1.0), 0.5, 2.5))
+    bright = {glow.body.name for glow in glows if glow.bright}
+    return [scaled(light, factor) if light.name in bright else light for light in lamps]
+
+
+def _glows(rng: np.random.Generator, scene: SceneSpec, library: AssetLibrary) -> list[_Glow]:
+    """List what may shine: inserted bodies first, then the others in a random order, one part a body."""
+    found = []
+    for i in rng.permutation(len(scene.bodies)):
+        body = scene.bodies[int(i)]
+        for part, material in enumerate(body.materials):
+            if material.name == GLOW and isinstance(body.geometry, MeshAsset):
+                name = library.mesh(body.geometry.asset).parts[part].name
+                area = float(np.linalg.norm(_crosses(body, part, library), axis=1).sum() / 2)
+                found.append(_Glow(body, part, _kind(body, name), area))
+                break
+    return sorted(found, key=lambda glow: (not glow.body.insertable, -FLUX.get(glow.kind, (0.0, 100.0))[1]))
+
+
+def _kind(body: Body, part: str) -> str:
+    """Name what sort of light a part gives."""
+    if part in _FLAMES:
+        return "candle"
+    return body.category if body.category in FLUX else "screen"
+
+
+def _crosses(body: Body, part: int, library: AssetLibrary) -> Float64:
+    """Return the cross products of two edges of each triangle of a part, in the world, (F, 3) [m²]."""
+    vertices, faces = body_triangles(body, library)
+    assert isinstance(body.geometry, MeshAsset)
+    sizes = [len(p.faces) for p in library.mesh(body.geometry.asset).parts]
+    first = sum(sizes[:part])
+    a, b, c = np.moveaxis(vertices[faces[first : first + sizes[part]]], 1, 0)
+    return np.asarray(np.cross(b - a, c - a))
+
+
+def _shining(rng: np.random.Generator, glow: _Glow, library: AssetLibrary) -> EmissiveLight:
+    """Let a part shine: objects as such things do (`materials.emission`), screens like daylight, lamps warm mostly."""
+    assert isinstance(glow.body.geometry, MeshAsset)
+    info = library.info(glow.body.geometry.asset)
+    texture: Texture | None = None
+    if glow.body.role == "object":
+        scale = float(np.cbrt(np.linalg.det(np.array(glow.body.world_from_body)[:3, :3])))
+        found = sample_glow(rng, library, info, glow.part, scale=scale)
+        temperature, coloured, texture = found.kelvin, found.coloured, found.texture
+        radiance = watts_from_photometric(found.nits)
+    elif glow.kind == "screen":
+        texture = library.mesh(info.id).parts[glow.part].material.base_color_texture
+        temperature, coloured = float(rng.uniform(6000.0, 8000.0)), False
+        radiance = watts_from_photometric(log_uniform(rng, *SCREEN_NITS))
+    else:
+        low, usual = (1800.0, 2000.0) if glow.kind == "fireplace" else (2500.0, 3800.0)
+        temperature = float(np.clip(np.exp(rng.normal(np.log(usual), 0.2)), low, 6500.0))
+        coloured = glow.kind != "fireplace" and rng.random() < GELS
+        radiance = area_radiance_from_flux(watts_from_photometric(log_uniform(rng, *FLUX[glow.kind])), glow.area)
+    gel = random_gel(rng) if coloured else None
+    colour = temperature_to_rgb(round(temperature))
+    if gel is not None:
+        tint = gel_rgb(gel, float(rng.uniform(0.4, 0.9)))
+        colour = (colour[0] * tint[0], colour[1] * tint[1], colour[2] * tint[2])
+    return EmissiveLight(
+        name=glow.body.name,
+        colour_temperature=round(temperature),
+        gel=gel,
+        body=glow.body.name,
+        part=glow.part,
+        radiance=rgb_from_scalar(radiance, colour),
+        texture=texture,
+    )
+
+
+def _flux(light: Light, glows: list[_Glow]) -> float:
+    """Return the luminous flux of a shining part [lm], 0 for screens and candles."""
+    assert isinstance(light, EmissiveLight)
+    glow = next(glow for glow in glows if glow.body.name == light.body)
+    if not glow.bright:
+        return 0.0
+    return _grey(light.radiance) * np.pi * glow.area / watts_from_photometric(1.0)
+
+
+def _floor_area(scene: SceneSpec, library: AssetLibrary) -> float:
+    """Return the floor's area [m²], from the walls' extent in the room's own axes."""
+    walls = [body for body in scene.bodies if body.category == "skirting"]
+    corners = np.concatenate([body_triangles(body, library)[0] for body in walls])
+    axes = np.array(walls[0].world_from_body)[:2, :2]
+    span = np.ptp(corners[:, :2] @ np.column_stack([axes[:, 0], [-axes[1, 0], axes[0, 0]]]), axis=0)
+    return float(np.prod(span))
+
+
+def _downlights(rng: np.random.Generator, scene: SceneSpec, fewest: int, *, most: int) -> list[Light]:
+    """Let recessed spots or flat panels in the ceiling shine down: one in a third of the rooms.
+
+    At least `fewest`, and none beyond `most`.
+    """
+    count = min(max(fewest, int(rng.random() < 0.35)), max(most, 0))
+    return [_downlight(rng, scene, "" if number == 0 else f"_{number + 1}") for number in range(count)]
+
+
+def _downlight(rng: np.random.Generator, scene: SceneSpec, suffix: str) -> SpotLight | AreaLight:
+    """Let one shine down between what is inserted and the middle of the room."""
+    places = np.array([np.array(body.world_from_body)[:3, 3] for body in scene.bodies if body.insertable])
+    ceiling = next(body for body in scene.bodies if body.category == "ceiling")
+    middle = np.array(ceiling.world_from_body)[:3, 3]
+    inwards = float(rng.uniform(0.1, 0.5) if not suffix else rng.uniform(0.2, 1.2))
+    flat = (1 - inwards) * places.mean(axis=0)[:2] + inwards * middle[:2] + rng.uniform(-0.2, 0.2, 2)
+    place = np.array([*flat, middle[2] - 0.01])
+    temperature = round(float(rng.uniform(2900.0, 5500.0)))
+    colour = temperature_to_rgb(temperature)
+    if rng.random() < 0.6:
+        half = float(np.radians(rng.uniform(16.0, 38.0)))
+        flux = watts_from_photometric(log_uniform(rng, 250.0, 700.0))
+        return SpotLight(
+            name=f"downlight{suffix}",
+            colour_temperature=temperature,
+            position=(float(place[0]), float(place[1]), float(place[2])),
+            direction=(0.0, 0.0, -1.0),
+            intensity=rgb_from_scalar(spot_intensity_from_flux(flux, half), colour),
+            half_angle=half,
+            blend=float(rng.uniform(0.2, 0.7)),
+            radius=0.03,
+        )
+    side = float(rng.uniform(0.2, 0.6))
+    pose = np.eye(4)
+    pose[:3, 3] = place
+    flux = watts_from_photometric(log_uniform(rng, 700.0, 2500.0))
+    return AreaLight(
+        name=f"panel{suffix}",
+        colour_temperature=temperature,
+        width=side,
+        height=side,
+        world_from_light=matrix4(pose),
+        radiance=rgb_from_scalar(area_radiance_from_flux(flux, side * side), colour),
+    )
+
+
+def _grey(colour: Rgb) -> float:
+    """Return the luminance of one RGB value."""
+    return float(luminance(np.array(colour)))

@@ -1,0 +1,1 @@
+"""Configurations of trainings: their fields here, presets as TOML beside them."""

@@ -1,0 +1,242 @@
+"""The typed configuration of the model and of its training, read from TOML; imports no torch."""
+
+import difflib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import ConfigDict, Field, ValidationError, model_validator
+
+from multilight.datagen.errors import UserError
+from multilight.scenes.files.limits import read_toml, shown
+from multilight.scenes.frozen import Frozen, UnitFloat
+
+Head = Literal["gain", "residual", "direct"]
+Input = Literal["background", "depth"]
+Positive = Annotated[float, Field(gt=0)]
+
+
+class NetworkConfig(Frozen):
+    """The shape of the 2D network; `slim` and `paper` in `NETWORKS` are the two that are used."""
+
+    model_config = ConfigDict(use_attribute_docstrings=True)
+
+    stride: Literal[1, 2, 4, 8] = 8
+    """Pixels a side of a token; 1 is attention at full resolution."""
+    width: Annotated[int, Field(ge=8, le=1024)] = 96
+    """Channels of a token."""
+    groups: Annotated[int, Field(ge=1, le=16)] = 2
+    """Groups of attention blocks, each ending in a dilated convolution."""
+    blocks: Annotated[int, Field(ge=1, le=32)] = 3
+    """Blocks a group; every second one shifts its windows."""
+    heads: Annotated[int, Field(ge=1, le=64)] = 3
+    """Attention heads a block; must divide `width`."""
+    window: Annotated[int, Field(ge=2, le=32)] = 8
+    """Tokens a side of a window."""
+    pooled: Annotated[int, Field(ge=0, le=16)] = 4
+    """Tokens a side of the whole picture's summary that every window attends to besides; 0: none."""
+    head: Head = "gain"
+    """What is predicted: gains and offsets in linear light, a residual, or the picture itself."""
+    cues: bool = True
+    """Compute the soft mask and the relief of the depth and hand them to the network as well."""
+    blind: tuple[Input, ...] = ()
+    """Inputs that are withheld: no pixel of them reaches the output; without `background` a mask must be given."""
+
+    @model_validator(mode="after")
+    def _heads_divide_width(self) -> "NetworkConfig":
+        if self.width % self.heads:
+            raise ValueError(f"heads = {self.heads} must divide width = {self.width}")
+        return self
+
+
+NETWORKS: dict[str, NetworkConfig] = {
+    "slim": NetworkConfig(),
+    "paper": NetworkConfig(
+        stride=1, width=96, groups=3, blocks=6, heads=6, window=8, pooled=0, head="direct", cues=False
+    ),
+}
+"""The presets: ours, and the published network (Lyu et al. 2025, 2D stage), the yardstick."""
+
+
+class DataConfig(Frozen):
+    """What is learnt from."""
+
+    model_config = ConfigDict(use_attribute_docstrings=True)
+
+    train: str
+    """Folder or fsspec address of the dataset, native or packed."""
+    where: str | None = None
+    """SQL expression over the dataset's index that chooses scenes, `kind = 'room'`, say."""
+    lighting: Literal["random", "stored"] = "random"
+    """Lighting of the training samples: drawn anew for each, or two of the scene's stored conditions."""
+    augment: bool = True
+    """Vary exposure, white balance, camera response, crop and direction."""
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
+    """Seed of the samples."""
+    workers: Annotated[int, Field(ge=0, le=256)] = 1
+    """Loader processes beside each training process; 0 loads in the training process."""
+    validation: str | None = None
+    """Dataset of the validation samples; that of the training samples unless told."""
+    validation_split: Literal["train", "val", "test", "test_ood"] = "val"
+    """Split of the validation samples."""
+    validation_samples: Annotated[int, Field(ge=0, le=100_000)] = 32
+    """Validation samples, always the same, with stored lighting; 0: no validation."""
+
+
+class LossConfig(Frozen):
+    """What is minimized: effect-weighted error of the pixels + `perceptual` times a distance."""
+
+    model_config = ConfigDict(use_attribute_docstrings=True)
+
+    pixels: Literal["mse", "log"] = "log"
+    """`mse`: mean squared error. `log`: its logarithm picture by picture, which is the mean PSNR, up to 30 dB."""
+    perceptual: Annotated[float, Field(ge=0, le=100)] = 0.05
+    """Weight of the perceptual distance."""
+    vgg: Path | None = None
+    """VGG19 weights (torchvision .pth or MatConvNet .mat); without: a stand-in, gradients and SSIM."""
+    far: Positive = 0.5
+    """Weight of a pixel that the object does not change, against 1 on the object."""
+
+
+class StageConfig(Frozen):
+    """A stretch of the training with pictures of one size."""
+
+    model_config = ConfigDict(use_attribute_docstrings=True)
+
+    until: UnitFloat = 1.0
+    """Share of the training at which the stretch ends; that of the last must be 1."""
+    size: Annotated[int, Field(ge=16, le=4096, json_schema_extra={"unit": "px"})] = 256
+    """Side of the pictures."""
+    batch: Annotated[int, Field(ge=1, le=65536)] = 8
+    """Pictures a step, over all processes together."""
+
+
+class TrainingConfig(Frozen):
+    """A training of the 2D network. Equal configurations give equal weights on the same machine (with `steps`)."""
+
+    model_config = ConfigDict(use_attribute_docstrings=True)
+
+    out: Path
+    """Folder of checkpoints, logs, sample pictures and the finished weights."""
+    network: NetworkConfig = NetworkConfig()
+    """The network, or the name of a preset: `slim` or `paper`."""
+    data: DataConfig
+    loss: LossConfig = LossConfig()
+    stages: Annotated[tuple[StageConfig, ...], Field(min_length=1)] = (StageConfig(),)
+    """Stretches of the training, small pictures first."""
+    steps: Annotated[int, Field(ge=1)] | None = None
+    """Length of the training in steps; say either this or `minutes`."""
+    minutes: Positive | None = None
+    """Length of the training in minutes; the learning rate follows the clock."""
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
+    """Seed of the initial weights."""
+    learning_rate: Positive = 1e-3
+    """Largest learning rate."""
+    final_rate: UnitFloat = 0.02
+    """Learning rate at the end, as a share of the largest."""
+    warmup: Annotated[int, Field(ge=0)] = 100
+    """Steps in which the learning rate rises to its largest."""
+    betas: tuple[UnitFloat, UnitFloat] = (0.9, 0.95)
+    """AdamW's betas."""
+    weight_decay: Annotated[float, Field(ge=0)] = 0.05
+    """AdamW's weight decay; not on biases, norms and position biases."""
+    clip: Positive = 1.0
+    """Largest norm of the gradient."""
+    ema: Annotated[float, Field(ge=0, lt=1)] = 0.998
+    """Decay of the average of the weights that is validated and kept."""
+    precision: Literal["auto", "fp32", "bf16"] = "auto"
+    """Arithmetic of the network; `auto`: bf16 on CUDA devices that have it, else fp32."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where to train."""
+    log_every: Annotated[int, Field(ge=1)] = 20
+    """Steps between lines of the log."""
+    save_every: Annotated[int, Field(ge=1)] = 500
+    """Steps between checkpoints, each with validation and sample pictures."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _preset(cls, data: Any) -> Any:
+        """Resolve a preset's name, alone (`network = "slim"`) or under other keys (`preset = "slim"`)."""
+        if not isinstance(data, dict):
+            return data
+        network = data.get("network", {})
+        values = {"preset": network} if isinstance(network, str) else network
+        if not isinstance(values, dict) or "preset" not in values:
+            return data
+        name = values["preset"]
+        if name not in NETWORKS:
+            raise ValueError(f"network preset {name!r}: there are {', '.join(NETWORKS)}")
+        given = {key: value for key, value in values.items() if key != "preset"}
+        return data | {"network": NETWORKS[name].model_dump() | given}
+
+    @model_validator(mode="after")
+    def _lengths_hold(self) -> "TrainingConfig":
+        if (self.steps is None) == (self.minutes is None):
+            raise ValueError("say either steps or minutes")
+        ends = [stage.until for stage in self.stages]
+        if ends != sorted(ends) or ends[-1] != 1.0 or ends[0] <= 0:
+            raise ValueError(f"stages must end in ascending order, the last at 1; got until = {ends}")
+        return self
+
+
+Config = TypeVar("Config", bound=TrainingConfig)
+
+
+def load_training_config(path: Path, overrides: dict[str, Any]) -> TrainingConfig:
+    """Read the TOML file of a training of the 2D stage; see `read_values` and `validated`."""
+    return validated(read_values(path, overrides), TrainingConfig, str(path))
+
+
+def read_values(path: Path, overrides: dict[str, Any]) -> dict[str, Any]:
+    """Read a TOML file and lay the command line's values over it (dotted keys; None where not given).
+
+    Relative paths in the file are relative to the working directory. Raises `UserError` naming the file.
+    """
+    try:
+        values = read_toml(path)
+    except FileNotFoundError:
+        raise UserError(f"configuration file {path} does not exist") from None
+    except (OSError, ValueError) as error:
+        raise UserError(f"configuration file {path} cannot be read as TOML: {error}") from None
+    for key, value in overrides.items():
+        if value is not None:
+            table, _, name = key.rpartition(".")
+            place = values.setdefault(table, {}) if table else values
+            place[name] = value
+    return values
+
+
+def validated(values: dict[str, Any], kind: type[Config], source: str) -> Config:
+    """Validate a training's values; raises `UserError` with the file, the key, the value and what is allowed."""
+    try:
+        return kind.model_validate(values)
+    except ValidationError as error:
+        raise UserError(_describe(error, source, kind)) from None
+
+
+def training_keys(model: type[Frozen] = TrainingConfig, prefix: str = "") -> Iterator[str]:
+    """List every key of the configuration, nested ones with dots."""
+    for name, field in model.model_fields.items():
+        kind = StageConfig if name == "stages" else field.annotation
+        if isinstance(kind, type) and issubclass(kind, Frozen):
+            yield from training_keys(kind, f"{prefix}{name}.")
+        else:
+            yield prefix + name
+
+
+def _describe(error: ValidationError, source: str, kind: type[Frozen]) -> str:
+    """Put a validation error into one line: source, key, value and what is allowed, or the key that was meant."""
+    first = error.errors()[0]
+    key = ".".join(str(part) for part in first["loc"] if not isinstance(part, int)) or "configuration"
+    if first["type"] == "missing":
+        return f"{source}: {key} is missing"
+    if first["type"] != "extra_forbidden":
+        value = f" = {shown(first['input'])}" if not isinstance(first["input"], dict) else ""
+        return f"{source}: {key}{value}: {first['msg']}"
+    known = list(training_keys(kind))
+    lasts = {name.rpartition(".")[2]: name for name in reversed(known)}
+    close = difflib.get_close_matches(key, known, n=1) or [
+        lasts[name] for name in difflib.get_close_matches(key.rpartition(".")[2], lasts, n=1)
+    ]
+    hint = f"did you mean {close[0]!r}? " if close else ""
+    return f"{source}: unknown key {key!r}; {hint}known keys: {', '.join(known)}"

@@ -1,0 +1,118 @@
+"""Augmentation: what another camera, held otherwise, would have made of the same scene."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn import functional
+
+from multilight.datagen.storage.layers import Float32
+
+EXPOSURE, WHITE_BALANCE = 0.5, 0.12
+"""Ranges: exposure in EV; white balance as the natural logarithm of the red and blue gains against green."""
+RESPONSE, RESPONSE_COLOUR = 0.2, 0.04
+"""Largest departure of a camera's response curve from the plain one, of all channels and of each."""
+SMALLEST_CROP = 0.6
+"""Smallest side of a crop against the picture's shorter side."""
+
+
+@dataclass(frozen=True)
+class Camera:
+    """How a picture is taken.
+
+    `gain` (3,) float32 multiplies linear radiance (exposure and white balance); `bend` (2, 3) float32 shapes the
+    display-encoded values v as v + v (1 - v) (bend[0] + bend[1] (2 v - 1)), which is monotone where the absolute
+    values sum to less than one.
+    """
+
+    gain: Float32
+    bend: Float32
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Which part of a picture is kept: a square of `side` pixels with its corner at (left, top), mirrored or not."""
+
+    left: int
+    top: int
+    side: int
+    mirrored: bool = False
+
+
+PLAIN = Camera(np.ones(3, np.float32), np.zeros((2, 3), np.float32))
+
+
+def draw_camera(rng: np.random.Generator) -> Camera:
+    """Draw exposure, white balance and response curve."""
+    balance = rng.uniform(-WHITE_BALANCE, WHITE_BALANCE, 2)
+    gain = 2.0 ** rng.uniform(-EXPOSURE, EXPOSURE) * np.exp([balance[0], 0.0, balance[1]])
+    bend = rng.uniform(-RESPONSE, RESPONSE, (2, 1)) + rng.uniform(-RESPONSE_COLOUR, RESPONSE_COLOUR, (2, 3))
+    return Camera(gain.astype(np.float32), bend.astype(np.float32))
+
+
+def respond(encoded: Tensor, camera: Camera) -> Tensor:
+    """Bend display-encoded values (..., 3, h, w) in [0, 1] as the camera does, in place."""
+    if not camera.bend.any():
+        return encoded
+    lift, contrast = (torch.from_numpy(row).view(3, 1, 1) for row in camera.bend)
+    # The polynomial in Horner's form: one pass a coefficient.
+    bent = (encoded * (-2.0 * contrast)).add_(3.0 * contrast - lift).mul_(encoded).add_(1.0 + lift - contrast)
+    return encoded.mul_(bent)
+
+
+def centre_frame(height: int, width: int) -> Frame:
+    """Return the largest square about the centre."""
+    side = min(height, width)
+    return Frame((width - side) // 2, (height - side) // 2, side)
+
+
+def draw_frame(rng: np.random.Generator, mask: NDArray[np.floating], *, mirrored: bool) -> Frame:
+    """Draw a square crop of a picture that keeps the middle of the object, whose coverage `mask` (H, W) is."""
+    height, width = mask.shape
+    side = round(min(height, width) * float(rng.uniform(SMALLEST_CROP, 1.0)))
+    total = float(mask.sum())
+    corner = []
+    for axis, length in ((1, width), (0, height)):
+        middle = float(mask.sum(axis=1 - axis) @ (np.arange(length) + 0.5)) / total if total > 0 else length / 2
+        low, high = max(0, int(np.ceil(middle - 0.9 * side))), min(length - side, int(middle - 0.1 * side))
+        corner.append(int(rng.integers(low, high + 1)) if low < high else min(max(low, 0), length - side))
+    return Frame(corner[0], corner[1], side, mirrored)
+
+
+def reframe(picture: Tensor, frame: Frame) -> Tensor:
+    """Crop (C, H, W) to a frame and mirror it: (C, side, side)."""
+    cut = picture[:, frame.top : frame.top + frame.side, frame.left : frame.left + frame.side]
+    return cut.flip(-1) if frame.mirrored else cut
+
+
+def resize(picture: Tensor, size: int, *, nearest: bool = False) -> Tensor:
+    """Resize (C, h, h) to (C, size, size), pixel edges kept.
+
+    `nearest` keeps values apart (depth); else bilinear, with the filter widened where the picture shrinks.
+    """
+    if picture.shape[-1] == size:
+        return picture
+    if nearest:
+        return functional.interpolate(picture[None], size=(size, size), mode="nearest-exact")[0]
+    shrinks = size < picture.shape[-1]
+    return functional.interpolate(picture[None], size=(size, size), mode="bilinear", antialias=shrinks)[0]
+
+
+def reframe_camera(
+    intrinsics: NDArray[np.float64], c2w: NDArray[np.float64], frame: Frame, size: int
+) -> tuple[Float32, Float32]:
+    """Return K (3, 3) and c2w (4, 4) of the reframed picture, float32.
+
+    A mirrored picture is that of the world mirrored in the plane x = 0, seen by the mirrored camera: c2w' = M c2w M
+    with M = diag(-1, 1, 1, 1), so that the views of a group still agree with each other.
+    """
+    moved = np.array([[1.0, 0.0, -frame.left], [0.0, 1.0, -frame.top], [0.0, 0.0, 1.0]]) @ intrinsics
+    moved[:2] *= size / frame.side
+    pose = c2w
+    if frame.mirrored:
+        moved[0, 2] = size - moved[0, 2]
+        mirror = np.diag([-1.0, 1.0, 1.0, 1.0])
+        pose = mirror @ c2w @ mirror
+    return moved.astype(np.float32), pose.astype(np.float32)

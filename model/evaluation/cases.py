@@ -1,0 +1,190 @@
+"""What models are compared on: fixed tuples of a dataset, how each is lit, and what makes it hard."""
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multilight.datagen.errors import UserError
+from multilight.datagen.storage.packed import PackedView
+from multilight.datagen.storage.records import SceneRecord
+from multilight.datagen.storage.training_source import open_training
+from multilight.lights.display.tonemap import luminance
+from multilight.lights.photometry.angular_size import angular_diameter
+from multilight.lights.spec import EmissiveLight
+from multilight.model.data.dataset import MultiLightDataset, make_samples
+from multilight.model.data.lighting import lit_conditions
+from multilight.model.data.plan import Draw
+from multilight.model.data.settings import SampleSettings
+from multilight.scenes.appearance import is_mirror, material_class
+from multilight.scenes.assets.splits import Split
+from multilight.scenes.cameras.pinhole import matrix4
+from multilight.scenes.spec import Camera
+
+Float32 = NDArray[np.float32]
+
+MOST_VIEWS = 4
+"""Views of a scene that are shown under one lighting."""
+HARD = np.radians(3.0)
+"""A light of a smaller angular diameter throws shadows with hard edges: a penumbra below a twentieth of the height."""
+KEY_SHARE = 0.5
+"""Least share of the picture's light that a small light must have for its shadows to be seen."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One picture to harmonize, and the truth where there is one.
+
+    composite, background, target (H, W, 3) float32 display-encoded sRGB in [0, 1]; depth (H, W) float32 in [0, 1] as
+    networks see it; mask (H, W) float32 in [0, 1]; effect (H, W, 3) float32 signed. `valid` (H, W) says where the
+    truth is known (None: everywhere). With `fit_exposure` a picture may be exposed anew before it is judged.
+    """
+
+    name: str
+    composite: Float32 = field(repr=False)
+    background: Float32 = field(repr=False)
+    depth: Float32 = field(repr=False)
+    mask: Float32 = field(repr=False)
+    target: Float32 | None = field(default=None, repr=False)
+    effect: Float32 | None = field(default=None, repr=False)
+    valid: NDArray[np.bool_] | None = field(default=None, repr=False)
+    fit_exposure: bool = False
+
+
+@dataclass(frozen=True)
+class Group:
+    """Views of one scene with one object under one pair of lightings; `subsets` are the rows that it counts in.
+
+    `cameras` and `z_depth` [m] (H, W), 0 where nothing, are those of the cases, where known: for the consistency.
+    """
+
+    cases: tuple[Case, ...]
+    subsets: tuple[str, ...]
+    cameras: tuple[Camera, ...] = ()
+    z_depth: tuple[Float32, ...] = ()
+
+
+LazyGroup = Callable[[], Group]
+"""A group that is read when it is called for."""
+
+
+@dataclass(frozen=True)
+class CaseSettings:
+    """Which tuples: scenes of the `splits`, at most `groups` objects a split, drawn with `seed`, `size` pixels a
+    side; of those scenes that the SQL expression `where` over the dataset's index chooses.
+    """
+
+    splits: tuple[Split, ...] = ("test", "test_ood")
+    groups: int = 32
+    seed: int = 0
+    size: int = 256
+    where: str | None = None
+
+
+def dataset_groups(address: str | Path, settings: CaseSettings) -> list[LazyGroup]:
+    """Open a dataset's tuples; the same ones whenever settings are the same.
+
+    Lighting is drawn as in training, without augmentation. Raises `UserError` where none of the splits holds a scene.
+    """
+    found: list[LazyGroup] = []
+    reasons = []
+    for split in settings.splits:
+        try:
+            found += _split_groups(address, split, settings)
+        except UserError as error:
+            reasons.append(str(error))
+    if not found:
+        raise UserError(f"{address}: nothing to evaluate on: {'; '.join(reasons)}; choose others with --splits")
+    return found
+
+
+def with_subset(load: LazyGroup, name: str) -> LazyGroup:
+    """Let a group count in one more subset."""
+
+    def named() -> Group:
+        group = load()
+        return replace(group, subsets=(*group.subsets, name))
+
+    return named
+
+
+def _split_groups(address: str | Path, split: Split, settings: CaseSettings) -> list[LazyGroup]:
+    first = SampleSettings(
+        size=settings.size, seed=settings.seed, split=split, where=settings.where, length=1, augment=False
+    )
+    index = open_training(address, where=first.filter()).index
+    if not len(index):
+        raise UserError(f"no scene of split {split!r}")
+    samples = MultiLightDataset(address, replace(first, views=min(MOST_VIEWS, *index["views"].to_list())))
+    count = min(settings.groups, len(samples.plan.places))
+    return [functools.partial(_drawn_group, samples, split, number) for number in range(count)]
+
+
+def _drawn_group(samples: MultiLightDataset, split: Split, number: int) -> Group:
+    draw = samples.plan.draw(0, number)
+    record = samples.source.source.scene(draw.place.scene)
+    views = [samples.source.view(draw.place.scene, view) for view in draw.views]
+    again = samples.plan.draw(0, number).rng  # the object's lighting is drawn first
+    _, base = lit_conditions(again, views, 2)
+    return _group(record, split, draw, base, views, samples.settings)
+
+
+def _group(
+    record: SceneRecord, split: Split, draw: Draw, base: Float32, views: list[PackedView], settings: SampleSettings
+) -> Group:
+    cases, cameras, depths = [], [], []
+    for view, sample in zip(draw.views, make_samples(views, draw, settings), strict=True):
+        arrays = {name: values.numpy() for name, values in sample.items()}
+        if arrays["mask"].sum() < settings.visible:
+            continue
+        cases.append(
+            Case(
+                f"scene {record.index}, {draw.place.object}, view {view}",
+                composite=arrays["composite"].transpose(1, 2, 0),
+                background=arrays["background"].transpose(1, 2, 0),
+                depth=arrays["depth"][0],
+                mask=arrays["mask"][0],
+                target=arrays["target"].transpose(1, 2, 0),
+                effect=arrays["effect"].transpose(1, 2, 0),
+            )
+        )
+        cameras.append(camera_of(arrays["K"], arrays["c2w"], arrays["mask"].shape[1:]))
+        depths.append(arrays["z_depth"][0])
+    subsets = subsets_of(record, draw.place.object, light_shares(views, base))
+    return Group(tuple(cases), (split, *subsets), tuple(cameras), tuple(depths))
+
+
+def subsets_of(record: SceneRecord, name: str, shares: dict[str, float]) -> tuple[str, ...]:
+    """Name the subsets that an object counts in: its kind of scene, and what is hard about it.
+
+    `shares` is each light's share of the pictures' light. "hard shadow": most of it comes from one light of a small
+    angular diameter; "emissive": the object glows; "mirror": it, or something of the setting, is a mirror.
+    """
+    body = record.scene.body(name)
+    place = np.array(body.world_from_body)[:3, 3]
+    lit = [(light, shares[light.name]) for light in record.rig.lights]
+    found = [f"kind: {record.scene.kind}"]
+    if any(isinstance(light, EmissiveLight) and light.body == name and share > 0 for light, share in lit):
+        found.append("emissive")
+    sizes = [angular_diameter(light, place) for light, share in lit if share >= KEY_SHARE]
+    if any(size is not None and size < HARD for size in sizes):
+        found.append("hard shadow")
+    if any(material_class(m) == "mirror" for m in body.materials) or any(map(is_mirror, record.scene.bodies)):
+        found.append("mirror")
+    return tuple(found)
+
+
+def light_shares(views: list[PackedView], gains: Float32) -> dict[str, float]:
+    """Return the share of the views' mean luminance that comes from each light under gains (L, 3)."""
+    layers = [view.variant("all").mean(axis=(1, 2), dtype=np.float64) for view in views]
+    found = luminance(np.mean(layers, axis=0) * gains)
+    return dict(zip(views[0].lights, (found / max(found.sum(), 1e-12)).tolist(), strict=True))
+
+
+def camera_of(intrinsics: NDArray[np.floating], c2w: NDArray[np.floating], size: tuple[int, ...]) -> Camera:
+    """Return the camera of K (3, 3) in pixels, c2w (4, 4) with OpenGL axes, and a picture's (height, width)."""
+    (fx, _, cx), (_, fy, cy), _ = np.asarray(intrinsics, np.float64)
+    return Camera(width=size[1], height=size[0], fx=fx, fy=fy, cx=cx, cy=cy, c2w=matrix4(c2w))

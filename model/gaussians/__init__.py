@@ -1,0 +1,1 @@
+"""Gaussians of a scene: rendering as a sparse product, and refinement on views."""

@@ -1,0 +1,1 @@
+"""The model at use on one's own pictures."""

@@ -1,0 +1,178 @@
+"""Harmonize single pictures of any size with a trained network, or one's own files."""
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn.functional import interpolate
+
+from multilight.datagen.errors import UserError
+from multilight.datagen.files.outputs import check_file
+from multilight.model.inference.depth import DepthModel, depth_from_metres, guessed_depth
+from multilight.model.inference.pictures import read_depth, read_mask, read_picture, write_picture
+from multilight.model.networks.checkpoint import load_network
+from multilight.model.networks.compositing2d import Compositing2D, apply_gains, soft_mask
+
+Float32 = NDArray[np.float32]
+Harmonizer = Callable[[Float32, Float32, Float32, Float32], Float32]
+"""Composite and background (H, W, 3), display-encoded, depth and mask (H, W), all in [0, 1] → picture (H, W, 3)."""
+
+DEFAULT_WEIGHTS = Path(__file__).parents[1] / "weights" / "slim.safetensors"
+WHOLE = 512
+"""Longest side in pixels that a network sees at once."""
+OVERLAP = 64
+"""Pixels that neighbouring tiles share; across them, one fades into the other."""
+ALIGNED = 0.1
+"""Mean difference of composite and background beyond the object, as displayed, from which on they look misaligned."""
+
+
+@dataclass(frozen=True)
+class Files:
+    """One's own pictures, all of one size; the depth is measured, or estimated by a model, or guessed."""
+
+    composite: Path
+    background: Path
+    mask: Path
+    depth: Path | None = None
+    depth_model: Path | None = None
+
+
+def harmonize_files(files: Files, weights: Path, out: Path, device: str = "auto") -> None:
+    """Harmonize one's own picture and write the result; raises `UserError` naming the file and what is wrong."""
+    if files.depth and files.depth_model:
+        raise UserError("give either --depth or --depth-model, not both")
+    check_file(out)
+    composite, background = read_picture(files.composite), read_picture(files.background)
+    mask = read_mask(files.mask)
+    _same_size(files.composite, composite, [(files.background, background), (files.mask, mask)])
+    if files.depth:
+        measured = read_depth(files.depth)
+        _same_size(files.composite, composite, [(files.depth, measured)])
+        depth = depth_from_metres(measured)
+    elif files.depth_model:
+        depth = DepthModel.load(files.depth_model).estimate(composite)
+    else:
+        print("no depth is given: level ground is assumed; --depth or --depth-model make it better", file=sys.stderr)
+        depth = guessed_depth(*mask.shape)
+    beyond = mask < 0.5 / 255.0
+    if beyond.any() and np.abs(composite - background)[beyond].mean() > ALIGNED:
+        print(
+            f"composite and background differ beyond the mask by {np.abs(composite - background)[beyond].mean():.2f} "
+            "of full scale: are they aligned, and is the mask the object's?",
+            file=sys.stderr,
+        )
+    network = load_network(weights).to(chosen_device(device))
+    write_picture(out, harmonize(network, composite, background, depth, mask=mask))
+
+
+def network_harmonizer(weights: Path, device: str = "auto") -> Harmonizer:
+    """Load trained weights as a function from pictures to the harmonized picture."""
+    network = load_network(weights).to(chosen_device(device))
+    return lambda composite, background, depth, mask: harmonize(network, composite, background, depth, mask=mask)
+
+
+def chosen_device(name: str) -> torch.device:
+    """Return the device of that name; "auto" is the GPU where there is one."""
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    try:
+        torch.zeros(1, device=name).item()
+        return torch.device(name)
+    except (RuntimeError, AssertionError, NotImplementedError) as error:
+        raise UserError(f"device {name!r} cannot be used: {str(error).splitlines()[0]}; try cpu") from None
+
+
+@torch.inference_mode()
+def harmonize(
+    network: Compositing2D, composite: Float32, background: Float32, depth: Float32, *, mask: Float32 | None = None
+) -> Float32:
+    """Harmonize a picture of any size: (H, W, 3) and (H, W) float32 → (H, W, 3) float32 in [0, 1].
+
+    Beyond `WHOLE` pixels, a network that predicts gains looks at the picture made smaller, and its gains, which are
+    smooth, are applied at full size; any other works tile by tile. `mask` (H, W), where given, replaces the one that
+    the network makes of the difference of composite and background. Raises `UserError` where memory runs out or the
+    result is not finite.
+    """
+    device = next(network.parameters()).device
+    pictures = [_tensor(p, device) for p in (composite, background, depth)]
+    given = None if mask is None else _tensor(mask, device)
+    pictures = list(network.shown(pictures[0], pictures[1], pictures[2], given))
+    try:
+        if max(composite.shape[:2]) <= WHOLE:
+            result = network(*pictures, given)
+        elif network.config.head == "gain":
+            result = _from_reduced(network, pictures, given)
+        else:
+            result = _from_tiles(network, pictures, given)
+    except RuntimeError as error:
+        if not isinstance(error, torch.OutOfMemoryError) and "allocate memory" not in str(error):
+            raise
+        height, width = composite.shape[:2]
+        raise UserError(
+            f"{height} x {width} pixels do not fit in the memory of device {device}: {str(error).splitlines()[0]}; "
+            "try --device cpu, or smaller pictures"
+        ) from None
+    found = result[0].permute(1, 2, 0).float().cpu().numpy()
+    if not np.isfinite(found).all():
+        raise UserError("the network's output holds NaN: the weights are damaged or their training diverged")
+    return found
+
+
+def _from_reduced(network: Compositing2D, pictures: list[Tensor], mask: Tensor | None) -> Tensor:
+    composite, background, _ = pictures
+    if mask is None:
+        mask = soft_mask(composite, background)
+    scale = WHOLE / max(composite.shape[-2:])
+    size = [max(1, round(length * scale)) for length in composite.shape[-2:]]
+    small = [interpolate(picture, size=size, mode="area") for picture in (*pictures, mask)]
+    maps = network.predict(*small)
+    return apply_gains(maps, composite, background, mask).clamp(0.0, 1.0)
+
+
+def _from_tiles(network: Compositing2D, pictures: list[Tensor], mask: Tensor | None) -> Tensor:
+    height, width = pictures[0].shape[-2:]
+    if mask is None:  # of the whole picture: at a tile's border it would differ from its neighbour's
+        mask = soft_mask(pictures[0], pictures[1])
+    total, weight = torch.zeros_like(pictures[0]), torch.zeros_like(pictures[0][:, :1])
+    for top in _starts(height):
+        for left in _starts(width):
+            window = (..., slice(top, top + WHOLE), slice(left, left + WHOLE))
+            tile = [picture[window] for picture in pictures]
+            share = _fade(tile[0].shape[-2:]).to(total)
+            total[window] += share * network(*tile, mask[window])
+            weight[window] += share
+    return total / weight
+
+
+def _starts(length: int) -> list[int]:
+    """Return where tiles begin: evenly spread, the last one ending with the picture."""
+    if length <= WHOLE:
+        return [0]
+    count = -(-(length - OVERLAP) // (WHOLE - OVERLAP))
+    return [round(k * (length - WHOLE) / (count - 1)) for k in range(count)]
+
+
+def _fade(size: torch.Size) -> Tensor:
+    """Return a tile's weights (h, w): rising from its border over the overlap, never zero."""
+    ramps = []
+    for length in size:
+        place = torch.arange(length) + 0.5
+        ramps.append((torch.minimum(place, length - place) / OVERLAP).clamp(max=1.0))
+    return torch.minimum(ramps[0][:, None], ramps[1][None, :])
+
+
+def _tensor(picture: Float32, device: torch.device) -> Tensor:
+    planes = picture[None] if picture.ndim == 2 else picture.transpose(2, 0, 1)
+    return torch.from_numpy(np.array(planes, np.float32))[None].to(device)
+
+
+def _same_size(path: Path, picture: Float32, others: list[tuple[Path, Float32]]) -> None:
+    for other_path, other in others:
+        if other.shape[:2] != picture.shape[:2]:
+            (h, w), (oh, ow) = picture.shape[:2], other.shape[:2]
+            raise UserError(f"{other_path} is {ow} x {oh} pixels, {path} is {w} x {h}: make them of equal size")

@@ -1,0 +1,86 @@
+"""Pictures, masks and depths read from files that people have, with messages that say what is wrong with them."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageOps, UnidentifiedImageError
+
+from multilight.datagen.errors import UserError
+from multilight.datagen.files.outputs import written
+from multilight.scenes.files.limits import open_picture, read_npy
+
+Float32 = NDArray[np.float32]
+
+
+def read_picture(path: Path) -> Float32:
+    """Read a display-encoded picture, turned upright as its camera noted: (H, W, 3) float32 in [0, 1]."""
+    return np.asarray(ImageOps.exif_transpose(_opened(path)).convert("RGB"), np.float32) / 255.0
+
+
+def read_mask(path: Path) -> Float32:
+    """Read a mask: (H, W) float32 in [0, 1], 1 on the object; raises `UserError` where it marks nothing."""
+    mask = np.asarray(ImageOps.exif_transpose(_opened(path)).convert("L"), np.float32) / 255.0
+    if mask.max() < 0.5:
+        raise UserError(f"mask {path} marks nothing: the object must be white (255), all else black (0)")
+    return mask
+
+
+def read_depth(path: Path) -> Float32:
+    """Read the depth along the optical axis, in any unit: (H, W) float32, 0 where unknown or infinitely far.
+
+    `.npy` of floats, or a picture of one channel (8 or 16 bits, or float TIFF).
+    """
+    if path.suffix.lower() == ".npy":
+        try:
+            depth = read_npy(path)
+        except (OSError, ValueError) as error:
+            raise UserError(f"depth {path} cannot be read: {error}") from None
+    else:
+        depth = np.asarray(_opened(path))
+    depth = np.squeeze(np.asarray(depth, np.float32))
+    if depth.ndim != 2 or not depth.size:
+        raise UserError(f"depth {path} has shape {depth.shape}; it must be one number a pixel (H, W)")
+    if np.isnan(depth).any():
+        raise UserError(f"depth {path} holds NaN on {np.isnan(depth).sum()} pixels; write 0 where it is unknown")
+    depth = np.where(np.isinf(depth), np.float32(0.0), depth)
+    if depth.min() < 0 or depth.max() <= 0:
+        raise UserError(f"depth {path} runs from {depth.min():g} to {depth.max():g}; it must be positive, 0 if unknown")
+    return depth
+
+
+def write_picture(path: Path, picture: Float32) -> None:
+    """Write a display-encoded picture (H, W, 3) in [0, 1] with 8 bits, in the format that the name ends in."""
+    if path.suffix.lower() not in Image.registered_extensions():
+        raise UserError(f"{path}: no picture format ends in {path.suffix or 'nothing'!r}; use .png, .jpg or .webp")
+    with written(path) as work:
+        try:
+            Image.fromarray(to_bytes(picture)).save(work, quality=95)
+        except KeyError as error:  # a format that can be read only
+            raise UserError(f"{path} cannot be written: {error}") from None
+
+
+def to_bytes(picture: NDArray[np.floating]) -> NDArray[np.uint8]:
+    """Round values in [0, 1] to 8 bits."""
+    return np.rint(np.clip(picture, 0.0, 1.0) * 255.0).astype(np.uint8)
+
+
+def resized(picture: Float32, size: tuple[int, int]) -> Float32:
+    """Resize (H, W) or (H, W, C) to (height, width) with a triangle filter that is as wide as the reduction asks."""
+    planes = picture[..., None] if picture.ndim == 2 else picture
+    shape = (size[1], size[0])
+    every = [Image.fromarray(p).resize(shape, Image.Resampling.BILINEAR) for p in np.moveaxis(planes, -1, 0)]
+    return np.stack([np.asarray(image, np.float32) for image in every], axis=-1).reshape(*size, *picture.shape[2:])
+
+
+def _opened(path: Path) -> Image.Image:
+    try:
+        with open_picture(path) as image:
+            image.load()
+    except FileNotFoundError:
+        raise UserError(f"{path} does not exist") from None
+    except UnidentifiedImageError:
+        raise UserError(f"{path} is not a picture that can be read; use PNG, JPEG, TIFF or WebP") from None
+    except (OSError, SyntaxError, ValueError) as error:
+        raise UserError(f"{path} cannot be read: {error}") from None
+    return image

@@ -1,0 +1,129 @@
+"""What training minimizes: squared error where it matters, plus a distance that sees structure."""
+
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from multilight.model.configs.stage2d import LossConfig
+from multilight.model.training.vgg import VGG19Features, load_vgg19
+
+FEATURE_WEIGHTS = (1 / 2.6, 1 / 4.8, 1 / 3.7, 1 / 5.6, 10 / 1.5)
+"""Of conv1_2 … conv5_2 (Chen and Koltun 2017), as in the published training."""
+
+EFFECT_SEEN = 0.02  # display-encoded effect at which a pixel counts half as changed
+SCALES = 3
+KNEE = 1e-3  # mean squared error (30 dB) at which the logarithmic loss turns from linear to logarithmic
+
+
+class VGGDistance(nn.Module):
+    """L1 between VGG19 features, and between the pictures, weighted as in the published training."""
+
+    label = "vgg19"
+
+    def __init__(self, features: VGG19Features) -> None:
+        super().__init__()
+        self.features = features
+
+    def forward(self, image: Tensor, target: Tensor) -> Tensor:
+        """Compare (B, 3, H, W) display-encoded pictures: (B,) distances."""
+        with torch.no_grad():
+            wanted = self.features(target)
+        pairs = zip(FEATURE_WEIGHTS, self.features(image), wanted, strict=True)
+        pixels = 255.0 * _per_picture((image - target).abs())
+        total = sum((weight * _per_picture((a - b).abs()) for weight, a, b in pairs), start=pixels)
+        return total / 255.0
+
+
+class StructureDistance(nn.Module):
+    """The stand-in where no VGG19 weights are given: gradients at three scales (L1), and 1 - SSIM.
+
+    It rewards edges and local contrast, but knows nothing of what people notice: figures made with it are not those of
+    the published loss, and are labelled `gradient+ssim`.
+    """
+
+    label = "gradient+ssim"
+
+    def forward(self, image: Tensor, target: Tensor) -> Tensor:
+        """Compare (B, 3, H, W) display-encoded pictures: (B,) distances."""
+        total = 0.5 * (1.0 - ssim(image, target))
+        for scale in range(SCALES):
+            if scale:
+                image, target = functional.avg_pool2d(image, 2), functional.avg_pool2d(target, 2)
+            difference = image - target
+            across = difference[..., :, 1:] - difference[..., :, :-1]
+            down = difference[..., 1:, :] - difference[..., :-1, :]
+            total = total + _per_picture(across.abs()) + _per_picture(down.abs())
+        return total
+
+
+def ssim(image: Tensor, target: Tensor, window: int = 7) -> Tensor:
+    """Return the mean structural similarity of (B, 3, H, W) pictures in [0, 1]: (B,).
+
+    Wang et al. 2004, with a uniform `window` (their equation 13, K1 = 0.01, K2 = 0.03) and no padding.
+    """
+    c1, c2 = 0.01**2, 0.03**2
+
+    def mean(x: Tensor) -> Tensor:  # over squares, by rows and columns: four times faster than pooling
+        for dim in (-1, -2):
+            first, *others = (x.narrow(dim, i, x.shape[dim] - window + 1) for i in range(window))
+            x = sum(others, start=first) / window
+        return x
+
+    mean_a, mean_b = mean(image), mean(target)
+    var_a = mean(image * image) - mean_a**2
+    var_b = mean(target * target) - mean_b**2
+    covariance = mean(image * target) - mean_a * mean_b
+    index = ((2 * mean_a * mean_b + c1) * (2 * covariance + c2)) / ((mean_a**2 + mean_b**2 + c1) * (var_a + var_b + c2))
+    return _per_picture(index)
+
+
+def effect_weights(mask: Tensor, effect: Tensor, *, far: float) -> Tensor:
+    """Weigh pixels by whether the object changes them: mask (B, 1, H, W), effect (B, 3, H, W) → (B, 1, H, W).
+
+    1 on the object, x / (x + 0.02) where its effect has size x (shadow, reflection, glow), plus `far` everywhere;
+    scaled to a mean of 1 in each picture, so that small objects and faint shadows count like large ones.
+    """
+    size = effect.abs().amax(dim=1, keepdim=True)
+    weights = torch.maximum(mask, size / (size + EFFECT_SEEN)) + far
+    return weights / weights.mean(dim=(1, 2, 3), keepdim=True)
+
+
+class CompositingLoss(nn.Module):
+    """Effect-weighted squared error, or its logarithm, plus a perceptual distance.
+
+    The mean of a squared error is decided by the pictures that are lit most wrongly, and what is gained on them is
+    lost on those that were nearly right; its logarithm counts every picture's relative gain, as PSNR does.
+
+    `label` names the distance in logs and tables: `vgg19`, `gradient+ssim` (stand-in) or `none`.
+    """
+
+    def __init__(self, config: LossConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.distance = make_distance(config.vgg) if config.perceptual > 0 else None
+        self.label = "none" if self.distance is None else self.distance.label
+
+    def forward(self, image: Tensor, target: Tensor, mask: Tensor, effect: Tensor) -> dict[str, Tensor]:
+        """Compare (B, 3, H, W) pictures: per picture (B,) `loss`, `pixels` and `perceptual`, and (B,) plain `mse`."""
+        squared = (image - target) ** 2
+        pixels = _per_picture(squared * effect_weights(mask, effect, far=self.config.far))
+        if self.config.pixels == "log":  # scaled to about the size of the error itself
+            pixels = 10.0 * KNEE * torch.log1p(pixels / KNEE)
+        perceptual = torch.zeros_like(pixels) if self.distance is None else self.distance(image, target)
+        return {
+            "loss": pixels + self.config.perceptual * perceptual,
+            "pixels": pixels,
+            "perceptual": perceptual,
+            "mse": _per_picture(squared.detach()),
+        }
+
+
+def make_distance(vgg: Path | None) -> VGGDistance | StructureDistance:
+    """Return the VGG19 distance where weights are given, else the stand-in."""
+    return StructureDistance() if vgg is None else VGGDistance(load_vgg19(vgg))
+
+
+def _per_picture(x: Tensor) -> Tensor:
+    return x.flatten(1).mean(dim=1)

@@ -1,0 +1,82 @@
+"""What one sees of a training: validation, sample pictures, the log."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import torch
+from PIL import Image
+from torch import Tensor, nn
+
+from multilight.datagen.files.outputs import written
+from multilight.model.evaluation.metrics import EFFECT, MOST_PSNR
+from multilight.model.training.batches import Batch
+
+SHOWN = 6  # rows of a sheet of sample pictures
+
+
+def regional_psnr(image: Tensor, target: Tensor, mask: Tensor, effect: Tensor) -> Tensor:
+    """Return each picture's PSNR [dB] on the object and where it changes the picture visibly: (B,).
+
+    Pictures (B, 3, H, W), mask (B, 1, H, W); the region is `object and effect` of `model.evaluation.metrics`.
+    """
+    region = (mask > 0.5) | (effect.abs().amax(dim=1, keepdim=True) > EFFECT)
+    squared = ((image - target) ** 2).mean(dim=1, keepdim=True) * region
+    mean = squared.flatten(1).sum(1) / region.flatten(1).sum(1).clamp(min=1)
+    return (-10.0 * mean.clamp(min=1e-12).log10()).clamp(max=MOST_PSNR)
+
+
+@torch.no_grad()
+def validate(network: nn.Module, batches: list[Batch]) -> dict[str, float]:
+    """Return mean regional PSNR [dB] of the raw composite and of the network over validation batches."""
+    found: dict[str, list[Tensor]] = {"composite": [], "network": []}
+    for b in batches:
+        image = network(b.composite, b.background, b.depth, b.mask)
+        found["network"].append(regional_psnr(image, b.target, b.mask, b.effect))
+        found["composite"].append(regional_psnr(b.composite, b.target, b.mask, b.effect))
+    return {name: float(torch.cat(values).mean()) for name, values in found.items()}
+
+
+@torch.no_grad()
+def sample_sheet(network: nn.Module, batch: Batch) -> Tensor:
+    """Show background, composite, prediction, target and four times the error, a row a sample: (3, R*S, 5*S)."""
+    b = batch
+    image = network(b.composite, b.background, b.depth, b.mask)
+    error = (4.0 * (image - b.target).abs()).clamp(max=1.0)
+    rows = torch.cat((b.background, b.composite, image, b.target, error), dim=3)[:SHOWN]
+    return torch.cat(list(rows), dim=1).cpu()
+
+
+class Log:
+    """A training's log: lines on standard output, TensorBoard files and PNG sheets in the folder."""
+
+    def __init__(self, folder: Path, *, quiet: bool = False) -> None:
+        from torch.utils.tensorboard import SummaryWriter
+
+        self.folder, self.quiet = folder, quiet
+        self._board = None if quiet else SummaryWriter(str(folder / "tensorboard"))
+
+    def line(self, text: Callable[[], str] | str) -> None:
+        """Print a line (of the first process only)."""
+        if not self.quiet:
+            print(text if isinstance(text, str) else text(), flush=True)
+
+    def scalars(self, values: dict[str, float], step: int) -> None:
+        """Record numbers by name."""
+        if self._board is not None:
+            for name, value in values.items():
+                self._board.add_scalar(name, value, step)
+
+    def sheet(self, picture: Tensor, step: int) -> None:
+        """Write a sheet (3, H, W) in [0, 1] as `samples/000123.png` and show it in TensorBoard."""
+        if self._board is None:
+            return
+        values = (picture.clamp(0, 1) * 255).round().byte()
+        path = self.folder / "samples" / f"{step:06d}.png"
+        with written(path) as work:
+            Image.fromarray(values.permute(1, 2, 0).numpy()).save(work)
+        self._board.add_image("samples", values, step)
+
+    def close(self) -> None:
+        """Write out what is still in memory."""
+        if self._board is not None:
+            self._board.close()

@@ -1,0 +1,1 @@
+"""The built-in pack: procedural objects, tables, lamps, surfaces and skies."""

@@ -1,0 +1,1 @@
+"""Procedural textures: surfaces, patterns, grounds, screens, gobos."""

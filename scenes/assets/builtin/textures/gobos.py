@@ -1,0 +1,117 @@
+"""Gobos: images that a spot projects, made by formula. Linear transmission in [0, 1], row 0 at the top.
+
+What lies past the border goes on as there, so every image ends in black or in one even tone.
+"""
+
+import zlib
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from multilight.scenes.assets.builtin.textures.surfaces import noise
+
+Array = NDArray[np.float64]
+Rng = np.random.Generator
+RESOLUTION = 512
+_EDGE = 0.004
+"""Width of an edge, as a share of the image: a gobo is metal or glass, a little out of focus."""
+
+
+def _grid(n: int) -> tuple[Array, Array]:
+    """Return (x to the right, y up) of pixel centres in [-1, 1], each (n, n)."""
+    line = (2 * np.arange(n) + 1) / n - 1
+    x, y = np.meshgrid(line, -line)
+    return x, y
+
+
+def _frame(image: Array, margin: float = 0.04) -> Array:
+    """Cut an image to the square that is left within a black margin, and soften its edges."""
+    x, y = _grid(len(image))
+    inside = np.maximum(np.abs(x), np.abs(y)) < 1 - 2 * margin
+    return np.clip(gaussian_filter(image * inside, _EDGE * len(image)), 0.0, 1.0)
+
+
+def window(rng: Rng, n: int, *, columns: int, rows: int, arched: bool = False) -> Array:
+    """Open a window of panes between muntins; arched ones end in a half circle."""
+    x, y = _grid(n)
+    half = 0.36 + 0.12 * columns / rows
+    open_area = (np.abs(x) < half) & (np.abs(y) < 0.82)
+    if arched:
+        open_area &= (y < 0.82 - half) | (np.hypot(x, y - 0.82 + half) < half)
+    bar = 0.022 + 0.012 * rng.random()
+    across = np.abs(((x + half) / (2 * half) * columns + 0.5) % 1 - 0.5) * 2 * half / columns
+    along = np.abs(((y + 0.82) / 1.64 * rows + 0.5) % 1 - 0.5) * 1.64 / rows
+    return _frame((open_area & (across > bar) & (along > bar)).astype(float))
+
+
+def blinds(rng: Rng, n: int, *, slats: int) -> Array:
+    """Let light through between slats; each hangs a little differently."""
+    x, y = _grid(n)
+    slat = np.floor((y + 1) / 2 * slats).astype(int)
+    gap = 0.45 + 0.08 * rng.standard_normal(slats)
+    tilt = 0.012 * rng.standard_normal(slats)
+    phase = ((y + tilt[slat] * x) + 1) / 2 * slats % 1
+    cords = np.abs(np.abs(x) - 0.5) > 0.008
+    return _frame((phase < gap[slat]) * cords.astype(float), margin=0.06)
+
+
+def foliage(rng: Rng, n: int, *, leaves: int, length: float) -> Array:
+    """Cover the image with leaves, so that light falls through the gaps."""
+    x, y = _grid(n)
+    blocked = np.zeros((n, n))
+    for _ in range(leaves):
+        cx, cy = rng.uniform(-1.1, 1.1, 2)
+        turn, size = rng.uniform(0, 2 * np.pi), length * rng.uniform(0.6, 1.4)
+        u = ((x - cx) * np.cos(turn) + (y - cy) * np.sin(turn)) / size
+        v = (-(x - cx) * np.sin(turn) + (y - cy) * np.cos(turn)) / size
+        # Two arcs that meet in points: a leaf.
+        blocked = np.maximum(blocked, (np.abs(v) < 0.3 * (1 - u * u)) & (np.abs(u) < 1))
+    return _frame(0.04 + 0.96 * (1 - gaussian_filter(blocked, 0.006 * n)), margin=0.02)
+
+
+def dots(rng: Rng, n: int, *, count: int) -> Array:
+    """Punch a hexagonal field of round holes."""
+    x, y = _grid(n)
+    pitch = 2.0 / count
+    row = np.round(y / (pitch * np.sqrt(0.75)))
+    shifted = x / pitch + 0.5 * (row % 2)
+    distance = np.hypot((shifted - np.round(shifted)) * pitch, y - row * pitch * np.sqrt(0.75))
+    return _frame((distance < pitch * rng.uniform(0.27, 0.36)).astype(float))
+
+
+def breakup(rng: Rng, n: int, *, scale: float, share: float) -> Array:
+    """Break light up into irregular patches that cover a share of the image."""
+    field = noise(rng, n, scale=(scale, scale), rough=2.2)
+    return _frame((field > np.quantile(field, 1 - share)).astype(float), margin=0.02)
+
+
+def lattice(rng: Rng, n: int, *, count: int) -> Array:
+    """Cross two sets of diagonal laths, as in a garden fence or a screen."""
+    x, y = _grid(n)
+    width = rng.uniform(0.3, 0.45)
+    a, b = ((x + y) * count / 2 % 1, (x - y) * count / 2 % 1)
+    return _frame(((a > width) & (b > width)).astype(float))
+
+
+GOBOS: dict[str, Callable[[Rng, int], Array]] = {
+    "gobo-window-2x2": lambda rng, n: window(rng, n, columns=2, rows=2),
+    "gobo-window-2x3": lambda rng, n: window(rng, n, columns=2, rows=3),
+    "gobo-window-3x4": lambda rng, n: window(rng, n, columns=3, rows=4),
+    "gobo-window-arched": lambda rng, n: window(rng, n, columns=2, rows=4, arched=True),
+    "gobo-blinds-wide": lambda rng, n: blinds(rng, n, slats=9),
+    "gobo-blinds-narrow": lambda rng, n: blinds(rng, n, slats=18),
+    "gobo-foliage-large": lambda rng, n: foliage(rng, n, leaves=42, length=0.3),
+    "gobo-foliage-small": lambda rng, n: foliage(rng, n, leaves=160, length=0.15),
+    "gobo-dots": lambda rng, n: dots(rng, n, count=9),
+    "gobo-breakup-coarse": lambda rng, n: breakup(rng, n, scale=4.0, share=0.45),
+    "gobo-breakup-fine": lambda rng, n: breakup(rng, n, scale=9.0, share=0.5),
+    "gobo-lattice": lambda rng, n: lattice(rng, n, count=6),
+}
+
+
+def make_gobo(name: str, *, resolution: int = RESOLUTION) -> NDArray[np.uint8]:
+    """Make a gobo by name: linear transmission (N, N) uint8, the same for the same name."""
+    rng = np.random.Generator(np.random.PCG64(zlib.crc32(name.encode())))
+    return np.round(GOBOS[name](rng, resolution) * 255).astype(np.uint8)

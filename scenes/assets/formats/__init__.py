@@ -1,0 +1,1 @@
+"""Files of models and scenes: reading them, and what they may claim."""

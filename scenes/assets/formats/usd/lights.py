@@ -1,0 +1,119 @@
+"""UsdLux lights.
+
+Intensity times two to the exposure is a luminance [cd/m²] (OpenUSD, Overview of UsdLux, "Quantities and units"); where
+`normalize` is set it is divided by the light's area in m² (a distant light's: pi sin²(angle / 2)).
+"""
+
+import math
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenEXR
+from numpy.typing import NDArray
+from pxr import UsdGeom, UsdLux
+
+from multilight.scenes.assets.formats.scene_file import FoundLight
+from multilight.scenes.assets.formats.usd.materials import inputs_of, open_picture, resolved_file, rgb_of
+from multilight.scenes.assets.info import AssetError
+from multilight.scenes.cameras.pinhole import matrix4
+
+Float64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LightReader:
+    """Reads the lights of the stage at `path`; `keep_map` stores a dome's texture and returns its name."""
+
+    path: Path
+    keep_map: Callable[[Any, Any], str]
+
+    def read(self, prim: Any, matrix: Float64) -> FoundLight:
+        """Translate a light placed by `matrix` (4, 4), world from light; raises `AssetError` for other kinds."""
+        stretch = np.linalg.norm(matrix[:3, :3], axis=0)
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = matrix[:3, :3] / stretch, matrix[:3, 3]
+        value = inputs_of(UsdLux.LightAPI(prim))
+        level = float(value("intensity", 1.0)) * 2.0 ** float(value("exposure", 0.0))
+        colour = np.array(value("color", (1.0, 1.0, 1.0)), np.float64)
+        if value("enableColorTemperature", False):
+            colour = colour * np.array(UsdLux.BlackbodyTemperatureAsRgb(float(value("colorTemperature", 6500.0))))
+        normalized = bool(value("normalize", False))
+
+        def made(kind: Any, amount: float, unit: Any, **more: Any) -> FoundLight:
+            return FoundLight(
+                kind=kind, name=prim.GetName(), amount=rgb_of(colour * amount), unit=unit, pose=matrix4(pose), **more
+            )
+
+        if prim.IsA(UsdLux.SphereLight):
+            return _sphere(made, prim, level, float(value("radius", 0.5)) * float(stretch.mean()), normalized)
+        if prim.IsA(UsdLux.RectLight):
+            size = float(value("width", 1.0)) * stretch[0], float(value("height", 1.0)) * stretch[1]
+            area = size[0] * size[1]
+            return made("area", level / area if normalized else level, "nit", width=size[0], height=size[1])
+        if prim.IsA(UsdLux.DiskLight):
+            size = 2 * float(value("radius", 0.5)) * stretch[0], 2 * float(value("radius", 0.5)) * stretch[1]
+            area = math.pi / 4 * size[0] * size[1]
+            amount = level / area if normalized else level
+            return made("area", amount, "nit", width=size[0], height=size[1], ellipse=True)
+        if prim.IsA(UsdLux.DistantLight):
+            angle = math.radians(float(value("angle", 0.53)))
+            spread = math.pi * math.sin(angle / 2) ** 2
+            return made("sun", level if normalized or spread == 0 else level * spread, "lx", angle=angle)
+        if prim.IsA(UsdLux.DomeLight) or prim.IsA(UsdLux.DomeLight_1):
+            return self._dome(made, prim, level, matrix)
+        raise AssetError(
+            f"{self.path}: the light {prim.GetPath()} is a {prim.GetTypeName()}, which is not read; "
+            "make it a sphere, rect, disk, distant or dome light"
+        )
+
+    def _dome(self, made: Any, prim: Any, level: float, matrix: Float64) -> FoundLight:
+        """Translate a dome, whose map OpenEXR lays out: its pole on +Y, its middle on +Z, its left towards +X."""
+        axes = matrix[:3, :3] / np.linalg.norm(matrix[:3, 0])
+        pole, middle = axes[:, 1], axes[:, 2]
+        if prim.IsA(UsdLux.DomeLight_1) and _pole_axis(prim) == UsdGeom.Tokens.z:
+            pole, middle = axes[:, 2], -axes[:, 1]
+        if pole[2] < 0.999:
+            raise AssetError(f"{self.path}: the dome light {prim.GetPath()} is tilted; turn its pole upright")
+        rotation = math.atan2(middle[1], middle[0])
+        file = prim.GetAttribute("inputs:texture:file").Get()
+        if file is None or not file.path:
+            return made("environment", level, "nit")
+        return made("environment", level, "nit", map=self.keep_map(file, prim), rotation=rotation)
+
+
+def write_map(path: Path, file: Any, where: Any, target: Path) -> None:
+    """Bring a dome's texture to `target` as EXR; raises `AssetError` for formats that are not read."""
+    if file.resolvedPath.lower().endswith(".exr") and "[" not in file.resolvedPath:
+        shutil.copyfile(resolved_file(path, file, where), target)
+        return
+    if file.path.lower().endswith((".hdr", ".tx")):
+        raise AssetError(f"{path}: {where} names {file.path!r}; convert it to EXR")
+    pixels = np.asarray(open_picture(path, file, where).convert("RGB"), np.float32) / 255
+    linear = np.where(pixels <= 0.04045, pixels / 12.92, ((pixels + 0.055) / 1.055) ** 2.4).astype(np.float32)
+    with OpenEXR.File({}, {"RGB": np.ascontiguousarray(linear)}) as picture:
+        picture.write(str(target))
+
+
+def _pole_axis(prim: Any) -> str:
+    """Return the axis that a dome of the second schema has its pole on."""
+    axis = str(prim.GetAttribute("poleAxis").Get() or "scene")
+    return str(UsdGeom.GetStageUpAxis(prim.GetStage())) if axis == "scene" else axis
+
+
+def _sphere(made: Any, prim: Any, level: float, radius: float, normalized: bool) -> FoundLight:
+    """Translate a sphere light: its intensity is its luminance times the disc that one sees; a cone makes it a spot."""
+    seen = math.pi * radius**2
+    intensity = level / 4 if normalized else level * seen
+    size = 0.0 if prim.GetAttribute("treatAsPoint").Get() else radius
+    if not prim.HasAPI(UsdLux.ShapingAPI):
+        return made("point", intensity, "cd", radius=size)
+    shaping = UsdLux.ShapingAPI(prim)
+    half = math.radians(float(shaping.GetShapingConeAngleAttr().Get() or 90.0))
+    if half >= 1.5:
+        return made("point", intensity, "cd", radius=size)
+    soft = float(np.clip(shaping.GetShapingConeSoftnessAttr().Get() or 0.0, 0, 1))
+    return made("spot", intensity, "cd", radius=size, half_angle=half, blend=soft)

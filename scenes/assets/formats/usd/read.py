@@ -1,0 +1,166 @@
+"""A USD stage as nodes of triangles and lights."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdShade
+
+from multilight.scenes.assets.formats.claims import check_triangles
+from multilight.scenes.assets.formats.cleaning import Z_UP_FROM_Y_UP, RawPart
+from multilight.scenes.assets.formats.scene_file import Emission, FoundLight, Imported, KeepImage, Node
+from multilight.scenes.assets.formats.usd.lights import LightReader, write_map
+from multilight.scenes.assets.formats.usd.materials import Picture, bound_surface, package_of, read_material, rgb_of
+from multilight.scenes.assets.formats.usd.shapes import SHAPES, Float64, Int64, read_shape
+from multilight.scenes.assets.info import AssetError
+from multilight.scenes.files.inside import OutsideError, held
+from multilight.scenes.files.limits import MOST_NODES, LimitError, check_file
+from multilight.scenes.spec import Material, Texture
+
+
+def open_stage(path: Path) -> Any:
+    """Open a USD file; raises `AssetError` in one line with the file, what is wrong and the remedy."""
+    try:
+        check_file(path)
+        _check_layers(path)
+        return Usd.Stage.Open(str(path))
+    except (OSError, LimitError) as error:
+        raise AssetError(f"{path} cannot be read: {error}") from error
+    except OutsideError as error:
+        raise AssetError(
+            f"{path} refers to a layer outside of its folder: {error}; flatten it, or pack it as USDZ"
+        ) from None
+    except Tf.ErrorException as error:
+        reason = str(error).strip().splitlines()[-1].strip()
+        raise AssetError(f"{path} is not a readable USD file ({reason}); export it again") from error
+
+
+def _check_layers(path: Path) -> None:
+    """Raise `OutsideError` where a stage is composed of a layer outside of its folder, before that is opened."""
+    waiting, seen = [str(path)], set[str]()
+    while waiting:
+        name = waiting.pop()
+        held(path.parent, Path(package_of(name)))
+        layer = None if name in seen else Sdf.Layer.FindOrOpen(name)
+        seen.add(name)
+        if layer is None:
+            continue  # what is missing is told where the stage is composed
+        for asset in layer.GetCompositionAssetDependencies():
+            if asset.startswith("`"):
+                raise OutsideError(f"{asset} is worked out only while reading")
+            resolved = Ar.GetResolver().Resolve(Sdf.ComputeAssetPathRelativeToLayer(layer, asset))
+            waiting.append(str(resolved) or str(path))
+
+
+def world_from_stage(stage: Any) -> Float64:
+    """Return what takes a stage's axes and units to metres, Z-up: (4, 4)."""
+    up = Z_UP_FROM_Y_UP if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y else np.eye(3)
+    world = np.eye(4)
+    world[:3, :3] = up * float(UsdGeom.GetStageMetersPerUnit(stage))
+    return world
+
+
+def read_usd(path: Path, keep: KeepImage, folder: Path) -> Imported:
+    """Read a USD file; dome textures go into `folder` as EXR.
+
+    Raises `AssetError` in one line with the file, what is wrong and the remedy.
+    """
+    try:
+        return _Reader(path, open_stage(path), keep, folder).read()
+    except AssetError:
+        raise
+    except LimitError as error:
+        raise AssetError(f"{path}: {error}") from error
+    except Exception as error:  # whatever a broken stage makes the above stumble over
+        reason = (str(error).strip() or "no reason given").splitlines()[-1].strip()
+        raise AssetError(f"{path} cannot be read ({type(error).__name__}: {reason}); export it again") from error
+
+
+class _Reader:
+    """Reads one stage."""
+
+    def __init__(self, path: Path, stage: Any, keep: KeepImage, folder: Path) -> None:
+        self._path, self._stage, self._keep, self._folder = path, stage, keep, folder
+        self._world = world_from_stage(stage)
+        self._places = UsdGeom.XformCache()
+        self._lights = LightReader(path, self._keep_map)
+        self._triangles = 0
+
+    def read(self) -> Imported:
+        nodes, lights = [], []
+        for number, prim in enumerate(Usd.PrimRange(self._stage.GetPseudoRoot(), Usd.TraverseInstanceProxies())):
+            if number > MOST_NODES:
+                raise LimitError(f"it has more than {MOST_NODES} prims, each instance counted; join some")
+            if not prim.IsA(UsdGeom.Imageable) or not _is_shown(prim):
+                continue
+            if any(prim.IsA(shape) for shape in SHAPES):
+                nodes.append(self._node(prim))
+            elif prim.HasAPI(UsdLux.LightAPI):
+                lights.append(self._light(prim))
+        return Imported(tuple(node for node in nodes if node is not None), tuple(lights))
+
+    def _matrix(self, prim: Any) -> Float64:
+        """Return a prim's matrix (4, 4) to our world; USD's own act on rows."""
+        return np.asarray(self._world @ np.array(self._places.GetLocalToWorldTransform(prim)).T)
+
+    def _light(self, prim: Any) -> FoundLight:
+        return self._lights.read(prim, self._matrix(prim))
+
+    def _node(self, prim: Any) -> Node | None:
+        """Read a shape, one part for each material on it."""
+        shape = read_shape(prim)
+        if shape is None:
+            return None
+        self._triangles += len(shape.faces)
+        check_triangles(self._triangles)
+        matrix = self._matrix(prim)
+        if abs(np.linalg.det(matrix[:3, :3])) < 1e-18:
+            return None
+        points = shape.points @ matrix[:3, :3].T + matrix[:3, 3]
+        normals = None if shape.normals is None else shape.normals @ np.linalg.inv(matrix[:3, :3])
+        order = [2, 1, 0] if np.linalg.det(matrix[:3, :3]) < 0 else [0, 1, 2]
+        parts, emissions = [], []
+        for chosen, shader in _bindings(prim, shape.source):
+            material, emission = self._material(shader, prim, has_uv=shape.uv is not None)
+            corners = points[shape.faces[chosen][:, order]].reshape(-1, 3)
+            shading = None if normals is None else normals[chosen][:, order].reshape(-1, 3)
+            uv = None if shape.uv is None else shape.uv[chosen][:, order].reshape(-1, 2)
+            faces = np.arange(len(corners), dtype=np.int64).reshape(-1, 3)
+            parts.append(RawPart(material, corners, faces, shading, uv))
+            emissions.append(emission)
+        return Node(prim.GetName(), tuple(parts), tuple(emissions))
+
+    def _material(self, shader: Any, prim: Any, *, has_uv: bool) -> tuple[Material, Emission | None]:
+        """Translate a surface; without one, the shape's display colour."""
+        if shader is not None:
+            return read_material(self._path, shader, self._kept, has_uv=has_uv)
+        colour = UsdGeom.Gprim(prim).GetDisplayColorAttr().Get()
+        return Material(base_color=rgb_of(colour[0]) if colour else (0.18, 0.18, 0.18)), None
+
+    def _kept(self, picture: Picture, mode: str) -> Texture:
+        return self._keep(picture.image.convert(mode))
+
+    def _keep_map(self, file: Any, prim: Any) -> str:
+        name = f"dome-{len(list(self._folder.glob('dome-*.exr')))}"
+        write_map(self._path, file, prim.GetPath(), self._folder / f"{name}.exr")
+        return name
+
+
+def _bindings(prim: Any, source: Int64) -> Iterator[tuple[NDArray[np.bool_], Any]]:
+    """Yield for each material of a shape which triangles have it, and its surface shader (None: none given)."""
+    rest = np.ones(len(source), bool)
+    for subset in UsdShade.MaterialBindingAPI(prim).GetMaterialBindSubsets():
+        chosen = np.isin(source, np.array(subset.GetIndicesAttr().Get() or [], np.int64)) & rest
+        rest &= ~chosen
+        if chosen.any():
+            yield chosen, bound_surface(subset.GetPrim())
+    if rest.any():
+        yield rest, bound_surface(prim)
+
+
+def _is_shown(prim: Any) -> bool:
+    imageable = UsdGeom.Imageable(prim)
+    shown = imageable.ComputeVisibility() != UsdGeom.Tokens.invisible
+    return shown and imageable.ComputePurpose() in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)

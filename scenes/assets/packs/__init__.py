@@ -1,0 +1,1 @@
+"""Where assets come from: installed packs, folders and backgrounds of the user."""

@@ -1,0 +1,284 @@
+"""A scene file as a pack: every node a model, so that it can stand in a `SceneSpec`; its lights are kept beside.
+
+The file is read once; meshes, textures and lights lie in the cache under the hash of its content.
+"""
+
+import hashlib
+import re
+import shutil
+import uuid
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from PIL import Image
+from pydantic import TypeAdapter
+
+from multilight.scenes.assets.cache import is_sound, read_kept, sources_key, write_json, write_once
+from multilight.scenes.assets.formats import beside, claims, cleaning, gltf
+from multilight.scenes.assets.formats import scene_file as imported
+from multilight.scenes.assets.formats.cleaning import RawPart, clean_mesh, extent
+from multilight.scenes.assets.formats.mtl import part_name
+from multilight.scenes.assets.formats.scene_file import FoundLight, Imported, Node, image_digest
+from multilight.scenes.assets.info import AssetError, AssetInfo
+from multilight.scenes.cameras.pinhole import matrix4
+from multilight.scenes.files.inside import OutsideError, inside
+from multilight.scenes.frozen import Frozen, Matrix4, Slug
+from multilight.scenes.meshes import Mesh, MeshPart, load_mesh, save_mesh
+from multilight.scenes.spec import Material, Texture
+
+T = TypeVar("T")
+SUFFIXES = (".glb", ".gltf", ".usd", ".usda", ".usdc", ".usdz")
+SMALLEST, LARGEST = 0.3, 500.0
+"""Longest side [m] of what may pass for a scene."""
+MOST_NODES = 400
+"""Nodes beyond the largest so many become one body."""
+PACK = "background"
+
+
+class Piece(Frozen):
+    """One body of the background: its name, which is that of the model, its pose, and its size [m]."""
+
+    name: Slug
+    title: str
+    world_from_body: Matrix4
+    size: tuple[float, float, float]
+
+
+class _Index(Frozen):
+    pieces: tuple[Piece, ...]
+    lights: tuple[FoundLight, ...]
+
+
+class BackgroundPack:
+    """The scene in `file` (GLB, glTF or USD) as the pack `background`; raises `AssetError` where it cannot serve."""
+
+    name = PACK
+
+    def __init__(self, file: Path, cache: Path) -> None:
+        if not file.is_file():
+            raise AssetError(f"background {file} does not exist; name a GLB, glTF, USD or .blend file")
+        if file.suffix.lower() not in SUFFIXES:
+            raise AssetError(f"background {file} is not one of {', '.join(SUFFIXES)}, .blend")
+        self.path = self._file = file.resolve()
+        self._cache = cache
+
+    @cached_property
+    def _folder(self) -> Path:
+        """Where the converted scene lies: under the hash of the file, of what lies beside it, and of the code."""
+        usd = sorted(str(path) for path in (Path(__file__).parents[1] / "formats" / "usd").glob("*.py"))
+        own = (str(module.__file__) for module in (beside, claims, gltf, imported, cleaning))
+        code = sources_key(__file__, *own, *usd)
+        digest = hashlib.sha256(code.encode())
+        digest.update(self._file.read_bytes())
+        if self._file.suffix.lower() not in (".glb", ".usdz"):
+            for path in sorted(p for p in self._file.parent.rglob("*") if p.is_file()):
+                state = path.stat()
+                digest.update(f"{path} {state.st_size} {state.st_mtime_ns}".encode())
+        return self._cache / "backgrounds" / digest.hexdigest()[:32]
+
+    @cached_property
+    def _index(self) -> _Index:
+        return self._kept("index.json", lambda file: TypeAdapter(_Index).validate_json(file.read_bytes()))
+
+    def _kept(self, name: str, read: Callable[[Path], T]) -> T:
+        """Read a file of the converted scene; where it is missing or damaged, the whole is converted (again)."""
+        path = self._folder / name
+        found = read_kept(path, read)
+        if found is None:
+            self._convert()
+            found = read(path)
+        return found
+
+    def _whole(self, name: str) -> Path | None:
+        """Return a picture or map of the converted scene; None where there is none of that name."""
+        path = self._folder / name
+        if not is_sound(path):
+            self._convert()
+        return path if path.is_file() else None
+
+    @property
+    def pieces(self) -> tuple[Piece, ...]:
+        """The bodies of the background, largest first."""
+        return self._index.pieces
+
+    @property
+    def lights(self) -> tuple[FoundLight, ...]:
+        """The lights of the file; an emissive one names a piece and a part of its mesh."""
+        return self._index.lights
+
+    def _convert(self) -> None:
+        """Read the file and write the converted scene, under a temporary name first."""
+        self._folder.parent.mkdir(parents=True, exist_ok=True)
+        work = self._folder.with_name(f".{uuid.uuid4().hex}.tmp")
+        work.mkdir()
+        try:
+            found = self._read(work)
+            index = _converted(self._file, found, work)
+            write_json(work / "index.json", index.model_dump(mode="json"))
+            self._folder.mkdir(exist_ok=True)
+            # File by file: others may be reading those that are there; the index says that all are.
+            for path in sorted(work.iterdir(), key=lambda path: path.name == "index.json"):
+                path.replace(self._folder / path.name)
+        except OSError as error:
+            raise AssetError(
+                f"cannot write {self._folder}: {error}; free some space or set MULTILIGHT_CACHE"
+            ) from error
+        finally:
+            shutil.rmtree(work, ignore_errors=True)
+
+    def _read(self, work: Path) -> Imported:
+        def keep(image: Image.Image) -> Texture:
+            known = image.mode in ("L", "RGB", "RGBA")
+            picture = image if known else image.convert("RGBA" if "A" in image.mode else "RGB")
+            digest = image_digest(picture)
+            write_once(work / f"{digest}.png", picture.save)
+            return Texture(image=f"{PACK}/texture-{digest}")
+
+        if self._file.suffix.lower() in (".glb", ".gltf"):
+            found = gltf.read_gltf(self._file, keep)
+            for light in found.lights:
+                if light.map is not None:
+                    try:
+                        sky = inside(self._file.parent, f"{light.map}.exr")
+                        shutil.copyfile(sky, inside(work, sky.name))
+                    except OutsideError as error:
+                        raise AssetError(f"{self._file}: {error}; put the map beside it") from None
+            return found
+        from multilight.scenes.assets.formats.usd import read_usd  # imports pxr, which few need
+
+        return read_usd(self._file, keep, work)
+
+    def infos(self) -> list[AssetInfo]:
+        """List the bodies; converts the file on the first call."""
+        return [
+            AssetInfo(
+                id=f"{PACK}/{piece.name}",
+                pack=PACK,
+                role="surrounding",
+                name=piece.title,
+                category="background",
+                licence="unknown",
+                creator=self._file.name,
+                size=piece.size,
+            )
+            for piece in self.pieces
+        ] + [
+            AssetInfo(f"{PACK}/{light.map}", PACK, "environment", light.name, "background", "unknown", self._file.name)
+            for light in self.lights
+            if light.map is not None
+        ]
+
+    def mesh_key(self, name: str) -> str:
+        """Return the hash of the file's content."""
+        return self._folder.name
+
+    def mesh(self, name: str) -> Mesh:
+        """Load the mesh of a body."""
+        if name not in {piece.name for piece in self.pieces}:
+            raise AssetError(f"{self._file} has no node {name!r}")
+        return self._kept(f"{name}.npz", load_mesh)
+
+    def texture(self, name: str) -> Path:
+        """Return the PNG of a texture `texture-<hash>`."""
+        match = re.fullmatch(r"texture-([0-9a-f]{32})", name)
+        path = self._whole(f"{match[1]}.png") if match else None
+        if path is None:
+            raise AssetError(f"no texture '{PACK}/{name}' in {self._file}")
+        return path
+
+    def environment(self, name: str) -> Path:
+        """Return the environment map that came with the file."""
+        path = self._whole(f"{name}.exr") if re.fullmatch(r"[0-9a-z-]+", name) else None
+        if path is None:
+            raise AssetError(f"no environment map '{PACK}/{name}' in {self._file}")
+        return path
+
+
+def _converted(file: Path, found: Imported, work: Path) -> _Index:
+    """Clean and write the meshes; raises `AssetError` where there are none or their size makes no sense."""
+    nodes = [_joined(node) for node in found.nodes]
+    nodes = [node for node in nodes if any(len(part.faces) for part in node.parts)]
+    if not nodes:
+        raise AssetError(f"{file} holds no triangles; export the scene with its meshes")
+    if not all(np.isfinite(part.vertices).all() for node in nodes for part in node.parts):
+        raise AssetError(f"{file} has coordinates that are not finite; repair the mesh and export it again")
+    low, high = (np.stack(corner) for corner in zip(*(extent(_solid(node)) for node in nodes), strict=True))
+    size = float((high.max(axis=0) - low.min(axis=0)).max())
+    if not SMALLEST <= size <= LARGEST:
+        raise AssetError(
+            f"{file} is {size:.4g} m large, expected {SMALLEST:g} to {LARGEST:g}; export it again in metres"
+        )
+    order = np.argsort(-(high - low).max(axis=1), kind="stable")
+    ordered = [nodes[int(i)] for i in order]
+    if len(ordered) > MOST_NODES:
+        ordered = [*ordered[: MOST_NODES - 1], _merged(ordered[MOST_NODES - 1 :])]
+    pieces, lights, taken = [], list(found.lights), set[str]()
+    for node in ordered:
+        name = _slug(node.name, taken)
+        written = _write_piece(node, name, work)
+        if written is not None:
+            taken.add(name)
+            pieces.append(written[0])
+            lights += written[1]
+    return _Index(pieces=tuple(pieces), lights=tuple(lights))
+
+
+def _solid(node: Node) -> list[RawPart]:
+    return [part for part in node.parts if len(part.faces)]
+
+
+def _joined(node: Node) -> Node:
+    """Leave out parts without faces."""
+    pairs = [(p, e) for p, e in zip(node.parts, node.emissions, strict=True) if len(p.faces)]
+    return Node(node.name, tuple(p for p, _ in pairs), tuple(e for _, e in pairs))
+
+
+def _merged(nodes: list[Node]) -> Node:
+    """Make one node of many."""
+    return Node("rest", sum((n.parts for n in nodes), ()), sum((n.emissions for n in nodes), ()))
+
+
+def _write_piece(node: Node, name: str, work: Path) -> tuple[Piece, list[FoundLight]] | None:
+    """Write a node's mesh; return its place and what of it glows, or None where only degenerate faces were in it."""
+    low, high = extent(list(node.parts))
+    marked = [
+        replace(part, material=part.material.model_copy(update={"name": f"{i}"})) for i, part in enumerate(node.parts)
+    ]
+    try:
+        mesh = clean_mesh(marked, turn_out=False)
+    except ValueError:
+        return None
+    # Cleaning drops degenerate parts; the marks tell which are left.
+    kept = [int(part.name) for part in mesh.parts]
+    parts = tuple(_named(part, node.parts[i].material) for i, part in zip(kept, mesh.parts, strict=True))
+    save_mesh(Mesh(parts), work / f"{name}.npz")
+    pose = np.eye(4)
+    pose[:3, 3] = [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]]
+    x, y, z = (round(float(v), 5) for v in high - low)
+    lights = [
+        FoundLight(kind="emissive", name=name, amount=e.amount, unit=e.unit, node=name, part=number, texture=e.texture)
+        for number, e in enumerate(node.emissions[i] for i in kept)
+        if e is not None
+    ]
+    return Piece(name=name, title=node.name[:80], world_from_body=matrix4(pose), size=(x, y, z)), lights
+
+
+def _named(part: MeshPart, material: Material) -> MeshPart:
+    """Give a part its material back, under a name that no rule for materials knows."""
+    own = material.model_copy(update={"name": part_name(f"bg-{material.name}")})
+    return replace(part, name=own.name, material=own)
+
+
+def _slug(text: str, taken: set[str]) -> str:
+    """Make a name that a body may bear and that is not taken."""
+    plain = re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_")[:30]
+    plain = plain if plain[:1].isalpha() else f"node_{plain}".rstrip("_")
+    plain = f"bg_{plain}"
+    name, number = plain, 2
+    while name in taken:
+        name, number = f"{plain}_{number}", number + 1
+    return name

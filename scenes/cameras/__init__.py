@@ -1,0 +1,1 @@
+"""Cameras: the pinhole, paths, trajectories and close-ups."""

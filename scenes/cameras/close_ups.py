@@ -1,0 +1,72 @@
+"""Views from close by: the last cameras of a path move in on one object, which then fills much of the picture."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multilight.scenes.cameras.pinhole import SENSOR_MM, camera_from_lens, look_at
+from multilight.scenes.spec import Camera
+
+SHARE = 0.6
+"""Share of the scenes whose last views move in."""
+SPENT = 0.7
+"""Part of the views that need not show everything which moving in takes up."""
+FRAMED = (1.5, 2.4)
+"""Radius that the picture's shorter side holds, against that of the object, at the end and at the beginning."""
+CLEAR = 0.4
+"""An object that is moved in on must show this share of its surface, most of its near side."""
+TRIES = 10
+
+Float64 = NDArray[np.float64]
+
+
+def closer_views(rng: np.random.Generator, views: int, visible_share: float) -> int:
+    """Draw how many of the last views move in, so that `visible_share` of all can still show everything."""
+    wanted = rng.random() < SHARE
+    return round(SPENT * (1.0 - visible_share) * views) if wanted else 0
+
+
+def move_in(
+    rng: np.random.Generator,
+    cameras: tuple[Camera, ...],
+    points: Float64,
+    count: int,
+    is_good: Callable[[Camera], bool],
+) -> tuple[Camera, ...]:
+    """Replace the last `count` cameras by ones that look at an object, given by points (N, 3), from close by.
+
+    Each keeps its lens and, as far as `is_good` allows, its side; where none does, and where that would be no
+    closer, the camera stays as it is.
+    """
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    radius = float(np.linalg.norm(points - middle, axis=1).max())
+    result = list(cameras)
+    for step, number in enumerate(range(len(cameras) - count, len(cameras))):
+        framed = radius * FRAMED[1] * (FRAMED[0] / FRAMED[1]) ** ((step + 1) / count)
+        for attempt in range(TRIES):
+            camera = _near(rng, cameras[number], middle, framed, jitter=attempt / TRIES)
+            if camera is None:
+                break
+            if is_good(camera):
+                result[number] = camera
+                break
+    return tuple(result)
+
+
+def _near(rng: np.random.Generator, camera: Camera, middle: Float64, framed: float, *, jitter: float) -> Camera | None:
+    """Move one camera along its line of sight, more or less, until the picture holds `framed` [m]; None if it does."""
+    size, focal = (camera.width, camera.height), camera.fx * SENSOR_MM / max(camera.width, camera.height)
+    half = np.arctan(SENSOR_MM / (2.0 * focal) * min(size) / max(size))
+    way = camera.pose()[:3, 3] - middle
+    distance = framed / np.sin(half)
+    if distance > 0.85 * np.linalg.norm(way):
+        return None
+    azimuth = np.arctan2(way[1], way[0]) + jitter * rng.normal(0.0, 0.6)
+    elevation = np.arctan2(way[2], np.hypot(way[0], way[1])) + jitter * rng.normal(0.0, 0.35)
+    elevation = np.clip(elevation, 0.15, 1.0)
+    level = np.cos(elevation)
+    towards = np.array([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
+    aim = middle + 0.12 * framed * rng.uniform(-1.0, 1.0, 3)
+    pose = look_at(middle + distance * towards, aim, up=(0.01 * rng.normal(), 0.01 * rng.normal(), 1.0))
+    return camera_from_lens(pose, width=size[0], height=size[1], focal_length_mm=focal)

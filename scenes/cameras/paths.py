@@ -1,0 +1,250 @@
+"""The shapes of camera trajectories, before anything is known of what might be in the way.
+
+A path says for each view where the camera stands as seen from its aim: azimuth, elevation and roll [rad], focal
+length [mm, for a 36 mm sensor], and the radius [m] of the sphere about the aim that the picture's shorter side just
+holds. The distance follows from the last two, so that a long lens stands further off and objects keep their size.
+"""
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ConfigDict, Field, model_validator
+
+from multilight.scenes.cameras.pinhole import SENSOR_MM, camera_from_lens, look_at
+from multilight.scenes.frozen import Frozen, UnitFloat
+from multilight.scenes.spec import Camera
+
+TrajectoryKind = Literal["approach", "orbit", "handheld", "random"]
+"""From distant to close; round the subject; a hand that holds still as best it can; anywhere at all."""
+
+LOWEST, HIGHEST = 0.262, 0.873
+"""Elevation of the cameras [rad]; `random` goes `STEEPER` further up."""
+STEEPER = 0.17
+
+Lens = Annotated[float, Field(ge=12, le=200, json_schema_extra={"unit": "mm"})]
+FNumber = Annotated[float, Field(ge=0.95, le=64)]
+Float64 = NDArray[np.float64]
+
+
+class TrajectoryShares(Frozen):
+    """How often each kind of trajectory comes, relative to the others."""
+
+    model_config = ConfigDict(use_attribute_docstrings=True)
+
+    approach: UnitFloat = 0.4
+    """From distant to close on an arc."""
+    orbit: UnitFloat = 0.25
+    """Round the subject at one distance, as far as walls allow."""
+    handheld: UnitFloat = 0.2
+    """One standpoint, with the smooth wobble of a hand."""
+    random: UnitFloat = 0.15
+    """Each view from anywhere, with any lens."""
+
+    @model_validator(mode="after")
+    def _some_share(self) -> "TrajectoryShares":
+        if not self.approach + self.orbit + self.handheld + self.random > 0:
+            raise ValueError("at least one trajectory needs a share above 0")
+        return self
+
+
+class CameraSettings(Frozen):
+    """What the cameras of a dataset have in common."""
+
+    model_config = ConfigDict(use_attribute_docstrings=True)
+
+    trajectories: TrajectoryShares = TrajectoryShares()
+    """Kinds of trajectory."""
+    lens_mm: tuple[Lens, Lens] = (24.0, 85.0)
+    """Shortest and longest focal length, full-frame equivalent."""
+    min_visible_share: UnitFloat = 0.7
+    """Share of the views in which each insertable object is whole in frame and not hidden."""
+    depth_of_field: UnitFloat = 0.0
+    """Share of the scenes whose lens has an aperture; the others are pinholes."""
+    f_number: tuple[FNumber, FNumber] = (1.8, 8.0)
+    """Widest and narrowest aperture, as focal length over its diameter."""
+
+    @model_validator(mode="after")
+    def _ranges_ascend(self) -> "CameraSettings":
+        for name in ("lens_mm", "f_number"):
+            low, high = getattr(self, name)
+            if low > high:
+                raise ValueError(f"{name} must ascend, got {low} to {high}")
+        return self
+
+
+DEFAULT_CAMERAS = CameraSettings()
+
+
+@dataclass(frozen=True)
+class Framing:
+    """What a path is fitted to: radius [m] framed when close and when distant, and where cameras may stand.
+
+    Cameras stand within `opening` [rad] of azimuth `front` [rad]. `narrow` in (0, 1] shortens sweeps and long
+    lenses, so that a tight room still finds a path.
+    """
+
+    close: float
+    distant: float
+    front: float
+    opening: float
+    narrow: float = 1.0
+
+
+@dataclass(frozen=True)
+class Path:
+    """One row a view: see the module's description; `towards` is 0 where the aim is the table's middle, 1 where it
+    is the objects'; `sway` (N, 3) moves the aim, in units of `framed`.
+    """
+
+    azimuth: Float64
+    elevation: Float64
+    roll: Float64
+    focal: Float64
+    framed: Float64
+    towards: Float64
+    sway: Float64
+
+
+def choose_trajectory(rng: np.random.Generator, settings: CameraSettings) -> TrajectoryKind:
+    """Draw a kind of trajectory by the shares."""
+    shares = settings.trajectories.model_dump()
+    kinds: list[TrajectoryKind] = ["approach", "orbit", "handheld", "random"]
+    weights = np.array([shares[kind] for kind in kinds])
+    return kinds[int(rng.choice(len(kinds), p=weights / weights.sum()))]
+
+
+def draw_path(
+    rng: np.random.Generator, kind: TrajectoryKind, framing: Framing, *, views: int, lens_mm: tuple[float, float]
+) -> Path:
+    """Draw a path of a kind."""
+    low, high = lens_mm
+    lens = (low, low * (high / low) ** framing.narrow)
+    match kind:
+        case "approach":
+            return _approach(rng, framing, views, lens)
+        case "orbit":
+            return _orbit(rng, framing, views, lens)
+        case "handheld":
+            return _handheld(rng, framing, views, lens)
+        case "random":
+            return _random(rng, framing, views, lens)
+
+
+def camera_on(path: Path, view: int, aims: tuple[Float64, Float64], size: tuple[int, int]) -> Camera:
+    """Place the camera of a view; `aims` are the middles (3,) of the table and of the objects, `size` in pixels."""
+    framed, focal = float(path.framed[view]), float(path.focal[view])
+    aim = aims[0] + path.towards[view] * (aims[1] - aims[0]) + framed * path.sway[view]
+    half = np.arctan(SENSOR_MM / (2.0 * focal) * min(size) / max(size))
+    azimuth, elevation = path.azimuth[view], path.elevation[view]
+    level = np.cos(elevation)
+    way = np.array([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
+    lean = float(np.tan(path.roll[view]))
+    up = (-np.sin(azimuth) * lean, np.cos(azimuth) * lean, 1.0)
+    pose = look_at(aim + framed / np.sin(half) * way, aim, up=up)
+    return camera_from_lens(pose, width=size[0], height=size[1], focal_length_mm=focal)
+
+
+def _middle_azimuth(rng: np.random.Generator, framing: Framing, sweep: float) -> float:
+    """Draw the middle of a sweep [rad] that keeps to the open side."""
+    if framing.opening >= np.pi / 2:
+        return framing.front + float(rng.uniform(-1.0, 1.0)) * max(0.0, framing.opening - sweep / 2)
+    slack = max(0.0, framing.opening - sweep / 2)
+    return framing.front + float(rng.uniform(-slack, slack))
+
+
+def _steps(views: int) -> Float64:
+    """Return the places of the views along the way, 0 to 1; a single one shows the whole from nearby."""
+    return np.linspace(0.0, 1.0, views) if views > 1 else np.array([0.6])
+
+
+def _approach(rng: np.random.Generator, framing: Framing, views: int, lens: tuple[float, float]) -> Path:
+    """Draw an arc from distant to close, from a wider to a longer lens, with the slight unrest of a hand."""
+    widest = min(np.radians(120.0), 2.0 * framing.opening)
+    sweep = max(np.radians(50.0), framing.narrow * rng.uniform(np.radians(50.0), widest))
+    middle, side = _middle_azimuth(rng, framing, sweep), float(rng.choice([-1.0, 1.0]))
+    t = _steps(views)
+    # Azimuth runs evenly; the approach starts gently and ends gently.
+    ease = 0.5 * t + 0.5 * t**2 * (3 - 2 * t)
+    usual = float(np.sqrt(lens[0] * lens[1]))
+    ends = np.log([rng.uniform(lens[0], usual), rng.uniform(0.9 * usual, lens[1])]).clip(*np.log(lens))
+    elevation = np.radians([rng.uniform(20.0, 42.0), rng.uniform(16.0, 48.0)])
+    shake = rng.normal(0.0, 1.0, (views, 7))
+    return Path(
+        azimuth=middle + side * sweep * (t - 0.5) + 0.012 * shake[:, 0],
+        elevation=np.clip(elevation[0] + ease * np.diff(elevation) + 0.012 * shake[:, 1], LOWEST, HIGHEST),
+        roll=0.01 * shake[:, 6],
+        focal=np.exp(ends[0] + ease * np.diff(ends)),
+        framed=framing.distant * (framing.close / framing.distant) ** ease * (1.0 + 0.015 * shake[:, 2]),
+        towards=ease,
+        sway=0.02 * shake[:, 3:6],
+    )
+
+
+def _orbit(rng: np.random.Generator, framing: Framing, views: int, lens: tuple[float, float]) -> Path:
+    """Draw a way round the subject at one distance, rising and sinking a little; all round where nothing forbids."""
+    if framing.opening > 0.99 * np.pi:
+        # The last view of a full circle is not the first again.
+        sweep = framing.narrow * 2.0 * np.pi * (views - 1) / views * rng.uniform(0.6, 1.0)
+    else:
+        sweep = framing.narrow * 2.0 * framing.opening * rng.uniform(0.7, 1.0)
+    middle, side = _middle_azimuth(rng, framing, sweep), float(rng.choice([-1.0, 1.0]))
+    t = _steps(views)
+    height = np.radians(rng.uniform(20.0, 45.0)) + np.radians(4.0) * _wander(rng, t)
+    framed = framing.close * rng.uniform(1.0, max(1.0, min(1.5, framing.distant / framing.close)))
+    return Path(
+        azimuth=middle + side * sweep * (t - 0.5),
+        elevation=np.clip(height, LOWEST, HIGHEST),
+        roll=np.zeros(views),
+        focal=np.full(views, _log_uniform(rng, *lens)),
+        framed=framed * (1.0 + 0.03 * _wander(rng, t)),
+        towards=np.full(views, rng.uniform(0.7, 1.0)),
+        sway=np.zeros((views, 3)),
+    )
+
+
+def _handheld(rng: np.random.Generator, framing: Framing, views: int, lens: tuple[float, float]) -> Path:
+    """Draw one standpoint and the wobble about it, smooth from view to view; the hand moves slowly in or out."""
+    t = _steps(views)
+    wobble = float(rng.uniform(0.5, 1.0))
+    middle = _middle_azimuth(rng, framing, np.radians(16.0))
+    height = np.radians(rng.uniform(20.0, 45.0)) + wobble * np.radians(2.5) * _wander(rng, t)
+    framed = framing.close * rng.uniform(1.05, max(1.05, min(1.6, framing.distant / framing.close)))
+    drift = np.exp(rng.uniform(-0.15, 0.15) * (t - 0.5))
+    return Path(
+        azimuth=middle + wobble * np.radians(6.0) * _wander(rng, t),
+        elevation=np.clip(height, LOWEST, HIGHEST),
+        roll=wobble * np.radians(1.2) * _wander(rng, t),
+        focal=np.full(views, _log_uniform(rng, *lens)),
+        framed=framed * drift * (1.0 + wobble * 0.04 * _wander(rng, t)),
+        towards=np.full(views, rng.uniform(0.6, 1.0)),
+        sway=wobble * 0.04 * np.stack([_wander(rng, t) for _ in range(3)], axis=-1),
+    )
+
+
+def _random(rng: np.random.Generator, framing: Framing, views: int, lens: tuple[float, float]) -> Path:
+    """Draw each view on its own: any side, height, lens and distance."""
+    spread = framing.distant / framing.close
+    return Path(
+        azimuth=framing.front + framing.opening * rng.uniform(-1.0, 1.0, views),
+        elevation=rng.uniform(LOWEST, HIGHEST + STEEPER, views),
+        roll=np.radians(2.0) * rng.normal(0.0, 1.0, views).clip(-2.0, 2.0),
+        focal=lens[0] * (lens[1] / lens[0]) ** rng.uniform(0.0, 1.0, views),
+        framed=framing.close * spread ** rng.uniform(0.0, 1.0, views),
+        towards=rng.uniform(0.3, 1.0, views),
+        sway=0.06 * rng.uniform(-1.0, 1.0, (views, 3)),
+    )
+
+
+def _wander(rng: np.random.Generator, t: Float64) -> Float64:
+    """Return a smooth random curve over `t`, (N,), of unit deviation in the long run: three slow sine waves."""
+    curve = np.zeros_like(t)
+    for amplitude, cycles in ((0.9, (0.3, 0.8)), (0.8, (0.8, 1.6)), (0.5, (1.6, 2.8))):
+        curve += amplitude * np.sin(2 * np.pi * (rng.uniform(*cycles) * t + rng.random()))
+    return curve / np.sqrt((0.9**2 + 0.8**2 + 0.5**2) / 2)
+
+
+def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    """Draw between two positive numbers, evenly in their logarithm."""
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))

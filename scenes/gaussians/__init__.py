@@ -1,0 +1,1 @@
+"""Gaussians of a scene: made from views, ordered along curves, splatted, stored."""

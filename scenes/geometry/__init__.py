@@ -1,0 +1,1 @@
+"""Geometry of placed meshes: rays, support, contact, overlap."""

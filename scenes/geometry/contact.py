@@ -1,0 +1,210 @@
+"""What in a scene lies in what, and what carries it: exact, on the true meshes."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
+from trimesh.creation import icosphere
+
+from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.geometry.overlap import boxes_meet, depth, surfaces_cross, touching
+from multilight.scenes.geometry.rays import body_triangles
+from multilight.scenes.geometry.solids import Placed, Solid
+from multilight.scenes.geometry.support_surfaces import stacked_faces
+from multilight.scenes.spec import Body, MeshAsset, Rectangle, Sphere
+
+TOLERANCE = 1e-3
+"""Overlaps deeper and gaps wider than this [m] are faults."""
+SINK = 3e-3
+"""How far [m] a body that is held must not be able to sink."""
+BACKING = 0.1
+"""Thickness [m] behind the rectangles of a surrounding: what pokes through a wall lies in it."""
+
+Float64 = NDArray[np.float64]
+How = Literal["stands", "held", "hangs"]
+
+
+@dataclass(frozen=True)
+class Overlap:
+    """Two bodies whose surfaces lie `depth` [m] in each other."""
+
+    first: str
+    second: str
+    depth: float
+
+
+@dataclass(frozen=True)
+class ContactReport:
+    """What is wrong with a scene's contacts, and how each body that is carried is carried.
+
+    `overlaps` deepest first; `unsupported` in the scene's order; `supports` maps a body to how it is carried:
+    it `stands` (its centre of mass lies over the hull of the contacts below it), is `held` (over the hull of all
+    its contacts), or `hangs` on a wall or a ceiling.
+    """
+
+    overlaps: tuple[Overlap, ...]
+    unsupported: tuple[str, ...]
+    supports: dict[str, How]
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing lies in anything and everything is carried."""
+        return not self.overlaps and not self.unsupported
+
+
+class Solids:
+    """Makes bodies into solids, each geometry once."""
+
+    def __init__(self, library: AssetLibrary) -> None:
+        self._library = library
+        self._made: dict[tuple[str, float, bool], Solid] = {}
+
+    def place(self, body: Body) -> Placed:
+        """Return a body as a solid in the world; a surrounding's rectangles are slabs, others are sheets."""
+        pose = np.array(body.world_from_body)
+        scale = float(np.cbrt(np.linalg.det(pose[:3, :3])))
+        slab = body.role == "surrounding" and isinstance(body.geometry, Rectangle)
+        key = (body.geometry.canonical_json(), round(scale, 9), slab)
+        if key not in self._made:
+            vertices, faces = self._triangles(body, slab=slab)
+            self._made[key] = Solid(vertices * scale, faces)
+        rigid = pose.copy()
+        rigid[:3, :3] /= scale
+        return Placed(self._made[key], rigid)
+
+    def _triangles(self, body: Body, *, slab: bool) -> tuple[Float64, NDArray[np.int64]]:
+        match body.geometry:
+            case MeshAsset(asset=asset):
+                mesh = self._library.mesh(asset)
+                return mesh.vertices().astype(np.float64), stacked_faces(mesh)
+            case Sphere(radius=radius):
+                ball = icosphere(subdivisions=5, radius=radius)
+                return np.asarray(ball.vertices), np.asarray(ball.faces)
+            case Rectangle():
+                vertices, faces = body_triangles(body.model_copy(update={"world_from_body": _IDENTITY}), self._library)
+                return _slab(vertices, faces) if slab else (vertices, faces)
+
+
+_IDENTITY = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+
+
+def _slab(vertices: Float64, faces: NDArray[np.int64]) -> tuple[Float64, NDArray[np.int64]]:
+    """Give a rectangle (4, 3) in its XY plane a back."""
+    corners = np.arange(4)
+    following = np.roll(corners, -1)
+    sides = np.concatenate(
+        [np.stack([following, corners, corners + 4], 1), np.stack([following, corners + 4, following + 4], 1)]
+    )
+    back = vertices - [0.0, 0.0, BACKING]
+    return np.concatenate([vertices, back]), np.concatenate([faces, faces[:, ::-1] + 4, sides])
+
+
+def check_contacts(bodies: Sequence[Body], library: AssetLibrary, *, tolerance: float = TOLERANCE) -> ContactReport:
+    """Check every pair of bodies for overlap, and every body for what carries it.
+
+    Bodies of role `surrounding` carry without being carried, and may overlap each other. Gaps up to `tolerance` [m]
+    count as contact, depths up to it as none.
+    """
+    solids = Solids(library)
+    placed = {body.name: solids.place(body) for body in bodies}
+    fixed = {body.name for body in bodies if body.role == "surrounding"}
+    overlaps, contacts = [], {}
+    for first, second in combinations(placed, 2):
+        pair = placed[first], placed[second]
+        if (first in fixed and second in fixed) or not boxes_meet(*pair, reach=tolerance):
+            continue
+        if (deep := depth(*pair, ignore=0.9 * tolerance)) > tolerance:
+            overlaps.append(Overlap(first, second, deep))
+        points = touching(*pair, reach=tolerance)
+        if len(points):
+            contacts[first, second] = points
+    supports = _carried(placed, fixed, contacts)
+    free = [name for name in placed if name not in fixed]
+    return ContactReport(
+        overlaps=tuple(sorted(overlaps, key=lambda entry: -entry.depth)),
+        unsupported=tuple(name for name in free if name not in supports),
+        supports=supports,
+    )
+
+
+def support_of(placed: Placed, contacts: Sequence[tuple[Placed, Float64]]) -> How | None:
+    """Tell how neighbours carry a body, given each with the contact points (N, 3): it stands, is held, or neither."""
+    if not contacts:
+        return None
+    points = np.concatenate([points for _, points in contacts])
+    centre = placed.centre_of_mass
+    if _over(points[points[:, 2] < centre[2]], centre):
+        return "stands"
+    if not _over(points, centre):
+        return None
+    # A bowl in a bowl is held from the sides; what only touches a ceiling could sink.
+    sunk = placed.moved(np.array([0.0, 0.0, -SINK]))
+    return "held" if any(surfaces_cross(sunk, other) for other, _ in contacts) else None
+
+
+def _over(points: Float64, centre: Float64) -> bool:
+    """Tell whether a centre (3,) lies over the convex hull of points (N, 3), to within a millimetre."""
+    if not len(points):
+        return False
+    flat = points[:, :2]
+    if float(np.linalg.norm(flat - centre[:2], axis=1).min()) <= TOLERANCE:
+        return True
+    try:
+        hull = ConvexHull(flat)
+    except (QhullError, ValueError):
+        return False
+    return bool((hull.equations[:, :2] @ centre[:2] + hull.equations[:, 2] <= TOLERANCE).all())
+
+
+@dataclass(frozen=True)
+class _World:
+    """Bodies where they stand, and for each the points (N, 3) where it touches each of its neighbours."""
+
+    placed: dict[str, Placed]
+    touches: dict[str, dict[str, Float64]]
+
+
+def _carried(placed: dict[str, Placed], fixed: set[str], contacts: dict[tuple[str, str], Float64]) -> dict[str, How]:
+    """Tell how each body is carried: from the surrounding upwards, then those that lean on each other."""
+    world = _World(placed, {name: {} for name in placed})
+    for (first, second), points in contacts.items():
+        world.touches[first][second] = world.touches[second][first] = points
+    supports: dict[str, How] = {}
+    while True:
+        firm = fixed | set(supports)
+        waiting = set(placed) - firm
+        found = _resting(world, waiting, firm, fixed) or _leaning(world, waiting, firm, fixed)
+        if not found:
+            return {name: supports[name] for name in placed if name in supports}
+        supports |= found
+
+
+def _resting(world: _World, waiting: set[str], firm: set[str], fixed: set[str]) -> dict[str, How]:
+    """Find which of the waiting bodies rest on what is firm."""
+    found: dict[str, How] = {}
+    for name in waiting:
+        body = world.placed[name]
+        near = {other: points for other, points in world.touches[name].items() if other in firm}
+        how = support_of(body, [(world.placed[other], points) for other, points in near.items()])
+        if how is None:
+            fastened = [points[:, 2].max() for other, points in near.items() if other in fixed]
+            how = "hangs" if max(fastened, default=-np.inf) >= body.centre_of_mass[2] else None
+        if how is not None:
+            found[name] = how
+    return found
+
+
+def _leaning(world: _World, waiting: set[str], firm: set[str], fixed: set[str]) -> dict[str, How]:
+    """Find bodies that carry each other while the group rests on what is firm: leave out those that fail, repeat."""
+    group = waiting
+    while group:
+        found = _resting(world, group, firm | group, fixed)
+        if set(found) == group:
+            grounded = any(other in firm for name in group for other in world.touches[name])
+            return found if grounded else {}
+        group = set(found)
+    return {}

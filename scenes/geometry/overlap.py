@@ -1,0 +1,234 @@
+"""How deep one solid lies in another, where they touch, and how far apart they are.
+
+The depth of two solids is the largest distance by which a point on the surface of one lies below the surface of the
+other.
+"""
+
+from collections.abc import Iterator
+
+import fcl
+import numpy as np
+from numpy.typing import NDArray
+from trimesh.triangles import closest_point
+
+from multilight.scenes.geometry.solids import Placed, Solid, bvh
+
+ACCURACY = 1e-4
+"""How far [m] a depth may lie below the true one."""
+NEGLIGIBLE = 3e-4
+"""Depths below this [m] are not looked for, unless asked: things that lie flush would take long."""
+MOST_TRIANGLES = 60_000
+"""Pieces looked at in one round before a search settles for the accuracy reached."""
+
+MOST_FINE = 2000
+"""Of a mesh's fine triangles so many are enough to tell where it touches another."""
+
+Float64 = NDArray[np.float64]
+Int64 = NDArray[np.int64]
+
+
+def boxes_meet(first: Placed, second: Placed, reach: float = 0.0) -> bool:
+    """Tell whether the boxes about two solids come within `reach` [m] of each other."""
+    (low, high), (other_low, other_high) = first.box, second.box
+    return bool((low <= other_high + reach).all() and (other_low <= high + reach).all())
+
+
+def surfaces_cross(first: Placed, second: Placed) -> bool:
+    """Tell whether any triangle of one cuts a triangle of the other."""
+    if max(len(first.solid.faces), len(second.solid.faces)) < 1000:
+        return _cut(first.collider, second.collider)
+    # Trees over large meshes cost more than the question: take only what lies in the box of what lies in the box.
+    one = first.triangles_near(*second.box)
+    for _ in range(2):
+        if not len(one):
+            return False
+        other = second.triangles_near(*_box(one))
+        if not len(other):
+            return False
+        one = first.triangles_near(*_box(other))
+    return len(one) > 0 and _cut(_collider(one), _collider(other))
+
+
+def _cut(first: fcl.CollisionObject, second: fcl.CollisionObject) -> bool:
+    return bool(fcl.collide(first, second, fcl.CollisionRequest(), fcl.CollisionResult()) > 0)
+
+
+def _collider(triangles: Float64) -> fcl.CollisionObject:
+    return fcl.CollisionObject(bvh(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3)))
+
+
+def gap(first: Placed, second: Placed) -> float:
+    """Return the smallest distance [m] between two surfaces; 0 where they cross."""
+    return max(0.0, fcl.distance(first.collider, second.collider, fcl.DistanceRequest(), fcl.DistanceResult()))
+
+
+def depth(first: Placed, second: Placed, *, ignore: float = NEGLIGIBLE) -> float:
+    """Return how deep two solids lie in each other [m], 0 where they do not.
+
+    Exact to `ACCURACY` above `ignore` [m]; below, it may come out as anything from 0 to that. Where a sheet crosses a
+    sheet there is no inside: then how far one pokes through the other at most, by its vertices.
+    """
+    if not boxes_meet(first, second):
+        return 0.0
+    crossing = surfaces_cross(first, second)
+    deepest = 0.0
+    for inner, outer in ((first, second), (second, first)):
+        if outer.solid.is_closed and (crossing or _holds(outer, inner)):
+            deepest = max(deepest, _deepest(inner, outer, ignore)[0])
+    if crossing and first.solid.is_sheet and second.solid.is_sheet:
+        return max(deepest, min(_poke(first, second), _poke(second, first)))
+    return deepest
+
+
+def _holds(outer: Placed, inner: Placed) -> bool:
+    """Tell whether any piece of `inner` begins inside `outer`."""
+    low, high = outer.box
+    probes = inner.solid.probes @ inner.pose[:3, :3].T + inner.pose[:3, 3]
+    probes = probes[((probes >= low) & (probes <= high)).all(axis=1)]
+    return bool(outer.solid.contains((probes - outer.pose[:3, 3]) @ outer.pose[:3, :3]).any())
+
+
+def way_out(first: Placed, second: Placed) -> Float64:
+    """Return the shift (3,) [m] that takes the deepest point of `first` out of `second`, or the other way about.
+
+    Zero where the solids do not lie in each other.
+    """
+    shift, deepest = np.zeros(3), 0.0
+    if not boxes_meet(first, second):
+        return shift
+    for inner, outer, sign in ((first, second, 1.0), (second, first, -1.0)):
+        if outer.solid.is_closed:
+            found, point = _deepest(inner, outer, NEGLIGIBLE)
+            if found > deepest:
+                nearest = outer.solid.nearest(point)
+                deepest, shift = found, sign * (outer.pose[:3, :3] @ (nearest - point))
+    return shift
+
+
+def _poke(first: Placed, second: Placed) -> float:
+    """Return how far [m] the vertices of `first` reach to that side of `second` to which they reach less.
+
+    Where all lie on one side they tell nothing: then the size of `first`.
+    """
+    points = _moved(first.solid.vertices, np.linalg.inv(second.pose) @ first.pose)
+    distance, face = second.solid.distance(points)
+    a, b, c = np.moveaxis(second.solid.triangles[face], 1, 0)
+    above = ((points - a) * np.cross(b - a, c - a)).sum(axis=1) > 0
+    if above.all() or not above.any():
+        return float((first.solid.high - first.solid.low).max())
+    return min(float(distance[above].max()), float(distance[~above].max()))
+
+
+def _moved(points: Float64, pose: Float64) -> Float64:
+    return np.ascontiguousarray(points @ pose[:3, :3].T + pose[:3, 3])
+
+
+def _box(triangles: Float64) -> tuple[Float64, Float64]:
+    """Return the lowest and the highest corner of triangles (T, 3, 3), (3,) each."""
+    points = triangles.reshape(-1, 3)
+    return points.min(axis=0), points.max(axis=0)
+
+
+def _local(triangles: Float64, placed: Placed) -> Float64:
+    """Take triangles (T, 3, 3) from the world to the frame of a solid."""
+    return np.asarray((triangles - placed.pose[:3, 3]) @ placed.pose[:3, :3])
+
+
+def _rounds(triangles: Float64) -> Iterator[tuple[Float64, Float64, Float64, list[Float64]]]:
+    """Yield triangles with centre and radius; those put into the list come again, each cut in four."""
+    while 0 < len(triangles) <= MOST_TRIANGLES:
+        centre = triangles.mean(axis=1)
+        radius = np.linalg.norm(triangles - centre[:, None], axis=2).max(axis=1)
+        keep: list[Float64] = []
+        yield triangles, centre, radius, keep
+        triangles = _quartered(np.concatenate(keep)) if keep else np.empty((0, 3, 3))
+
+
+def _quartered(triangles: Float64) -> Float64:
+    """Cut each triangle (T, 3, 3) in four, (4 T, 3, 3)."""
+    a, b, c = np.moveaxis(triangles, 1, 0)
+    ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+    return np.concatenate([np.stack(t, axis=1) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
+
+
+def _reach_from(outer: Solid, face: Int64, triangles: Float64) -> Float64:
+    """Return the largest distance [m] of each triangle's points to its given face of `outer`, (T,).
+
+    The distance to a convex set is convex, so a corner has the largest.
+    """
+    target = outer.triangles[np.repeat(face, 3)]
+    corners = triangles.reshape(-1, 3)
+    return np.asarray(np.linalg.norm(closest_point(target, corners) - corners, axis=1).reshape(-1, 3).max(axis=1))
+
+
+def _deepest(inner: Placed, around: Placed, ignore: float) -> tuple[float, Float64]:
+    """Return the depth [m] of the deepest point of `inner`'s surface inside `around`, and that point: branch and bound.
+
+    Depth changes no faster than one walks, and no point lies deeper than its distance to any one face.
+    """
+    best, where, outer = 0.0, np.zeros(3), around.solid
+    for triangles, centre, radius, keep in _rounds(_local(inner.triangles_near(*around.box), around)):
+        distance, face = outer.distance(centre)
+        bar = max(best, ignore) + ACCURACY
+        hopeful = (distance + radius > bar) & (_box_distance(outer, centre) <= radius)
+        hopeful[hopeful] = _reach_from(outer, face[hopeful], triangles[hopeful]) > bar
+        if not hopeful.any():
+            break
+        triangles, centre, radius, distance = triangles[hopeful], centre[hopeful], radius[hopeful], distance[hopeful]
+        signed = np.where(outer.contains(centre), distance, -distance)
+        deepest = int(np.argmax(signed))
+        if signed[deepest] > best:
+            best, where = float(signed[deepest]), centre[deepest]
+        keep.append(triangles[signed + radius > max(best, ignore) + ACCURACY])
+    return best, where
+
+
+def _box_distance(outer: Solid, points: Float64) -> Float64:
+    """Return the distance [m] of points (N, 3) to the box about a solid, 0 inside it, (N,)."""
+    return np.asarray(np.linalg.norm(np.maximum(outer.low - points, 0) + np.maximum(points - outer.high, 0), axis=1))
+
+
+def touching(first: Placed, second: Placed, reach: float = 1e-3) -> Float64:
+    """Return points where two surfaces come within `reach` [m] of each other, (N, 3) in the world.
+
+    Dense enough that their convex hull is that of the contact to within a twelfth of its size.
+    """
+    if not boxes_meet(first, second, reach):
+        return np.empty((0, 3))
+    found = [
+        _close_points(inner, outer, reach) @ outer.pose[:3, :3].T + outer.pose[:3, 3]
+        for inner, outer in ((first, second), (second, first))
+    ]
+    return np.concatenate(found)
+
+
+def _close_points(inner: Placed, around: Placed, reach: float) -> Float64:
+    """Return points of `inner`'s surface within `reach` [m] of `around`'s, in the frame of the latter, (N, 3)."""
+    (low, high), (own_low, own_high), outer = around.box, inner.box, around.solid
+    finest = max(0.003, float((np.minimum(high, own_high) - np.maximum(low, own_low)).max()) / 12)
+    near = _thinned(_local(inner.triangles_near(low - reach, high + reach), around), finest)
+    found = [np.empty((0, 3))]
+    for triangles, centre, radius, keep in _rounds(near):
+        distance, face = outer.distance(centre)
+        close = distance - radius <= reach
+        triangles, face, radius = triangles[close], face[close], radius[close]
+        found.append(centre[close][distance[close] <= reach])
+        if not len(triangles):
+            break
+        # A triangle wholly close to one face is close everywhere: its corners say all.
+        whole = _reach_from(outer, face, triangles) <= reach
+        found.append(triangles[whole].reshape(-1, 3))
+        rest = triangles[~whole & (radius > finest)]
+        corners = triangles[~whole & (radius <= finest)].reshape(-1, 3)
+        if len(corners):
+            found.append(corners[outer.distance(corners)[0] <= reach])
+        if len(rest):
+            keep.append(rest)
+    return np.concatenate(found)
+
+
+def _thinned(triangles: Float64, finest: float) -> Float64:
+    """Leave out some triangles that are smaller than `finest` [m] where there are very many, evenly."""
+    small = np.ptp(triangles, axis=1).max(axis=1) < finest
+    step = max(1, int(small.sum()) // MOST_FINE)
+    return np.concatenate([triangles[~small], triangles[small][::step]])

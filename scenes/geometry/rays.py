@@ -1,0 +1,95 @@
+"""What rays hit in a scene: line of sight for cameras, lights and placement."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from trimesh import Trimesh
+from trimesh.ray.ray_pyembree import RayMeshIntersector
+
+from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.geometry.support_surfaces import stacked_faces
+from multilight.scenes.spec import Body, MeshAsset, Rectangle, Sphere
+
+Float64 = NDArray[np.float64]
+
+
+def body_triangles(body: Body, library: AssetLibrary) -> tuple[Float64, NDArray[np.int64]]:
+    """Return a body's vertices in the world, (V, 3) float64 metres, and its faces (F, 3) int64."""
+    match body.geometry:
+        case MeshAsset(asset=asset):
+            mesh = library.mesh(asset)
+            vertices, faces = mesh.vertices().astype(np.float64), stacked_faces(mesh)
+        case Rectangle(width=width, height=height):
+            signs = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
+            vertices, faces = signs * [width / 2, height / 2, 0.0], np.array([[0, 1, 2], [0, 2, 3]])
+        case Sphere(radius=radius):
+            angle = np.linspace(0.0, np.pi, 13)
+            ring = np.linspace(0.0, 2 * np.pi, 24, endpoint=False)
+            around = np.stack([np.cos(ring), np.sin(ring)], axis=-1)
+            flat = np.sin(angle)[:, None, None] * around
+            vertices = radius * np.concatenate([flat, np.broadcast_to(np.cos(angle)[:, None, None], (13, 24, 1))], -1)
+            hull = Trimesh(vertices.reshape(-1, 3), process=False).convex_hull
+            vertices, faces = hull.vertices, hull.faces
+    pose = np.array(body.world_from_body)
+    return vertices @ pose[:3, :3].T + pose[:3, 3], np.asarray(faces, np.int64)
+
+
+class SceneRays:
+    """Casts rays at bodies; the index of a body is its position in the sequence given."""
+
+    def __init__(self, bodies: Sequence[Body], library: AssetLibrary) -> None:
+        pieces = [body_triangles(body, library) for body in bodies]
+        starts = np.cumsum([0] + [len(vertices) for vertices, _ in pieces[:-1]])
+        faces = np.concatenate([faces + start for (_, faces), start in zip(pieces, starts, strict=True)])
+        self._solid = Trimesh(np.concatenate([vertices for vertices, _ in pieces]), faces, process=False)
+        self._body_of_face = np.repeat(np.arange(len(pieces)), [len(faces) for _, faces in pieces])
+        self._tracer = RayMeshIntersector(self._solid)
+
+    def first_hit(self, origins: Float64, directions: Float64) -> tuple[NDArray[np.int64], Float64]:
+        """Return the body hit first (N,), -1 for none, and the distance (N,) [m], inf for none.
+
+        `origins` (N, 3) metres; `directions` (N, 3) of any length but zero.
+        """
+        unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+        face = self._tracer.intersects_first(origins, unit)
+        a, b, c = np.moveaxis(self._solid.triangles[face], 1, 0)
+        normal = np.cross(b - a, c - a)
+        facing = (normal * unit).sum(axis=1)
+        distance = ((a - origins) * normal).sum(axis=1) / np.where(np.abs(facing) > 1e-30, facing, 1e-30)
+        return np.where(face >= 0, self._body_of_face[face], -1), np.where(face >= 0, distance, np.inf)
+
+    def sees(self, eye: Float64, points: Float64, *, slack: float = 0.01) -> NDArray[np.bool_]:
+        """Tell for points (N, 3) whether the way from `eye` (3,) to `slack` [m] before them is free."""
+        way = points - eye
+        _, distance = self.first_hit(np.broadcast_to(eye, way.shape), way)
+        return np.asarray(distance >= np.linalg.norm(way, axis=1) - slack)
+
+    def visible_share(self, eye: Float64, body: int, points: Float64) -> float:
+        """Return the share of rays from `eye` (3,) to a body's surface points (N, 3) that hit that body first.
+
+        An object hides part of itself; that does not count against it, what stands before it does.
+        """
+        hit, _ = self.first_hit(np.broadcast_to(eye, points.shape), points - eye)
+        return float((hit == body).sum() / max(1, (hit >= 0).sum()))
+
+
+def surface_points(body: Body, library: AssetLibrary, rng: np.random.Generator, count: int) -> Float64:
+    """Draw `count` points evenly over a body's surface, (count, 3) float64 world metres."""
+    vertices, faces = body_triangles(body, library)
+    a, b, c = np.moveaxis(vertices[faces], 1, 0)
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    face = np.searchsorted(np.cumsum(area), rng.random(count) * area.sum())
+    face = np.minimum(face, len(faces) - 1)
+    u, v = np.sqrt(rng.random((count, 1))), rng.random((count, 1))
+    return np.asarray((1 - u) * a[face] + u * (1 - v) * b[face] + u * v * c[face])
+
+
+def extreme_points(body: Body, library: AssetLibrary) -> Float64:
+    """Return the vertices of a body that lie furthest along 26 directions, (26, 3) float64 world metres.
+
+    What holds them in frame holds nearly all of the body; a few points of its surface do not tell.
+    """
+    vertices, _ = body_triangles(body, library)
+    ways = np.array([way for way in np.ndindex(3, 3, 3) if way != (1, 1, 1)]) - 1.0
+    return np.asarray(vertices[np.argmax(vertices @ (ways / np.linalg.norm(ways, axis=1, keepdims=True)).T, axis=0)])

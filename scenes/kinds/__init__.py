@@ -1,0 +1,1 @@
+"""The samplers, one for each kind of scene."""

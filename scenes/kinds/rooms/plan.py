@@ -1,0 +1,292 @@
+"""A room being furnished: what stands where, with nothing in anything else.
+
+Bodies keep apart by their boxes in the room's frame, grown by a small gap: rooms are laid out along their walls, so
+boxes waste little, and bodies whose boxes are apart cannot touch. Where boxes must meet (a chair under a table),
+the convex hull of the one is held against the triangles of the other.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from trimesh import Trimesh
+from trimesh.collision import CollisionManager
+
+from multilight.scenes.assets.info import AssetInfo, AssetRole
+from multilight.scenes.assets.library import AssetError, AssetLibrary
+from multilight.scenes.cameras.pinhole import matrix4
+from multilight.scenes.geometry.support_surfaces import convex_polygon, stacked_faces
+from multilight.scenes.kinds.rooms.finish import Palette, furniture_materials
+from multilight.scenes.kinds.rooms.footing import hangs, shelves_of, standing_of
+from multilight.scenes.kinds.rooms.shell import DOOR_ZONE, SKIRTING, Shell, Wall
+from multilight.scenes.kinds.rooms.shelves import Shelf
+from multilight.scenes.meshes import Mesh
+from multilight.scenes.spec import Body, Material, MeshAsset, Role
+
+GAP = 0.006
+"""Smallest distance [m] between the boxes of two bodies."""
+BACK = 0.02
+"""Distance [m] of furniture to the wall: room for the skirting board."""
+HUNG = 0.0004
+"""Distance [m] of what hangs on a wall or from the ceiling: touching, but not in it."""
+
+ON_WALLS = frozenset(
+    {"picture", "mirror", "shelf", "wall_clock", "wall_tv", "wall_unit_a", "wall_unit_b", "hood", "curtains"}
+)
+UNDER_CEILINGS = frozenset({"pendant", "ceilinglamp", "ceiling_lamp"})
+
+Float64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A model that may come into the room, with its lowest and highest corner (3,) [m] in its own frame."""
+
+    info: AssetInfo
+    mesh: Mesh
+    low: Float64
+    high: Float64
+
+    @property
+    def size(self) -> Float64:
+        """Width, depth and height (3,) [m]."""
+        return self.high - self.low
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A piece where it stands: its body's name, pose (4, 4), and box (lowest and highest corner, (3,) each) [m]."""
+
+    name: str
+    piece: Piece
+    pose: Float64
+    low: Float64
+    high: Float64
+
+
+def pose_at(place: Sequence[float] | Float64, z: float, angle: float) -> Float64:
+    """Return the pose (4, 4) of a body at (x, y) and height `z` [m], turned by `angle` [rad]."""
+    pose = np.eye(4)
+    pose[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    pose[:3, 3] = [float(place[0]), float(place[1]), z]
+    return pose
+
+
+def _holds(piece: Piece) -> bool:
+    """Tell whether a piece stands, or hangs where its kind hangs."""
+    if piece.info.category in UNDER_CEILINGS:
+        return True
+    return hangs(piece.mesh) if piece.info.category in ON_WALLS else standing_of(piece.mesh) is not None
+
+
+class Plan:
+    """Bodies placed so far, and what must stay free."""
+
+    def __init__(self, library: AssetLibrary, shell: Shell, palette: Palette, bodies: list[Body]) -> None:
+        self.library, self.shell, self.palette = library, shell, palette
+        self.bodies = bodies
+        self.placed: dict[str, Placed] = {}
+        self._names: list[str] = []
+        self._low, self._high = np.empty((0, 3)), np.empty((0, 3))
+        self._zones: list[tuple[Float64, Float64]] = []
+        self._pieces: dict[str, Piece | None] = {}
+        self._probes: dict[str, CollisionManager] = {}
+        self._solids: dict[str, CollisionManager] = {}
+
+    def piece(self, info: AssetInfo) -> Piece | None:
+        """Load a model; None where it is broken."""
+        if info.id not in self._pieces:
+            try:
+                mesh = self.library.mesh(info.id)
+                low, high = mesh.bounds().astype(np.float64)
+                self._pieces[info.id] = Piece(info, mesh, low, high)
+            except AssetError:
+                self._pieces[info.id] = None
+        return self._pieces[info.id]
+
+    def choose(
+        self, rng: np.random.Generator, *categories: str, largest: tuple[float, float, float] = (9.0, 9.0, 9.0)
+    ) -> Piece | None:
+        """Draw a model of the categories that is at most so large (x, y, z) [m]; None where there is none.
+
+        What does not hang must stand as it comes, and what hangs must hang.
+        """
+        roles: tuple[AssetRole, ...] = ("surrounding", "table")
+        infos = [info for role in roles for info in self.library.list(role) if info.category in categories]
+        fitting = [info for info in infos if info.size and all(a <= b for a, b in zip(info.size, largest, strict=True))]
+        while fitting:
+            info = fitting.pop(int(rng.integers(len(fitting))))
+            piece = self.piece(info)
+            if piece is not None and _holds(piece):
+                return piece
+        return None
+
+    def keep_free(self, low: Float64, high: Float64) -> None:
+        """Let nothing come into a box."""
+        self._zones.append((low, high))
+
+    def keep_doors_free(self) -> None:
+        """Keep the floor before each door free."""
+        for opening in self.shell.openings:
+            if opening.is_door:
+                ends = np.array(
+                    [
+                        opening.wall.point(opening.along + s * (opening.width / 2 + 0.1), out)
+                        for s in (-1, 1)
+                        for out in (0.0, DOOR_ZONE)
+                    ]
+                )
+                self.keep_free(np.append(ends.min(axis=0), 0.0), np.append(ends.max(axis=0), 2.1))
+
+    def mark(self) -> tuple[int, int]:
+        """Remember how far the room is furnished."""
+        return len(self._names), len(self._zones)
+
+    def back_to(self, mark: tuple[int, int]) -> None:
+        """Take everything out that was placed after a mark."""
+        pieces, zones = mark
+        for name in self._names[pieces:]:
+            del self.placed[name]
+            self._solids.pop(name, None)
+        del self.bodies[len(self.bodies) - (len(self._names) - pieces) :]
+        del self._names[pieces:], self._zones[zones:]
+        self._low, self._high = self._low[:pieces], self._high[:pieces]
+
+    def box(self, piece: Piece, pose: Float64) -> tuple[Float64, Float64]:
+        """Return the box of a piece in a pose."""
+        points = piece.mesh.vertices() @ pose[:3, :3].T + pose[:3, 3]
+        return points.min(axis=0), points.max(axis=0)
+
+    def is_free(
+        self, low: Float64, high: Float64, *, apart_from: Sequence[str] = (), zones: bool = True, boards: bool = True
+    ) -> bool:
+        """Tell whether a box lies in the room and clear of all bodies but those named; low ones off skirting boards."""
+        half = np.array([self.shell.width / 2, self.shell.depth / 2])
+        if low[2] < SKIRTING[0] and boards:
+            half = half - SKIRTING[1]
+        if (low[:2] < -half).any() or (high[:2] > half).any() or high[2] > self.shell.height or low[2] < -1e-6:
+            return False
+        if zones and any((low < b).all() and (high > a).all() for a, b in self._zones):
+            return False
+        return not [name for name in self.touched(low, high) if name not in apart_from]
+
+    def touched(self, low: Float64, high: Float64) -> list[str]:
+        """Name the bodies whose boxes come within `GAP` of a box; what lies below or above may touch."""
+        gap = np.array([GAP, GAP, 0.0])
+        meets = (self._low < high + gap).all(axis=1) & (self._high > low - gap).all(axis=1)
+        return [self._names[int(i)] for i in np.flatnonzero(meets)]
+
+    def add(
+        self,
+        rng: np.random.Generator,
+        piece: Piece,
+        pose: Float64,
+        *,
+        role: Role = "surrounding",
+        apart_from: Sequence[str] = (),
+        lit: bool = False,
+        zones: bool = True,
+    ) -> Placed | None:
+        """Put a piece where it is free, with the palette's materials; None where something is in the way."""
+        low, high = self.box(piece, pose)
+        if not self.is_free(low, high, apart_from=apart_from, zones=zones):
+            return None
+        materials = furniture_materials(rng, self.palette, piece.info, piece.mesh, lit=lit)
+        return self.put(piece, pose, materials, role=role)
+
+    def put(self, piece: Piece, pose: Float64, materials: tuple[Material, ...], *, role: Role) -> Placed:
+        """Add a body without asking."""
+        low, high = self.box(piece, pose)
+        name = self._name(piece.info.category)
+        self.bodies.append(
+            Body(
+                name=name,
+                role=role,
+                category=piece.info.category,
+                geometry=MeshAsset(asset=piece.info.id, mesh_sha256=piece.mesh.sha256(), parts=len(piece.mesh.parts)),
+                materials=materials,
+                world_from_body=matrix4(pose),
+            )
+        )
+        self._names.append(name)
+        self._low, self._high = np.vstack([self._low, low]), np.vstack([self._high, high])
+        self.placed[name] = Placed(name, piece, pose, low, high)
+        return self.placed[name]
+
+    def against_wall(
+        self,
+        rng: np.random.Generator,
+        piece: Piece,
+        wall: Wall,
+        *,
+        along: float | None = None,
+        z: float = 0.0,
+        role: Role = "surrounding",
+        lit: bool = False,
+        tries: int = 14,
+    ) -> Placed | None:
+        """Stand a piece with its back to a wall, `along` it or wherever there is room; hang it where z is not 0."""
+        out = piece.size[1] / 2 + (HUNG if z > 0 else BACK)
+        slack = wall.length / 2 - piece.size[0] / 2 - 0.01
+        if slack < 0:
+            return None
+        for _ in range(1 if along is not None else tries):
+            here = float(rng.uniform(-slack, slack)) if along is None else float(np.clip(along, -slack, slack))
+            done = self.add(rng, piece, pose_at(wall.point(here, out), z, wall.angle), role=role, lit=lit)
+            if done is not None:
+                return done
+        return None
+
+    def clear_of(self, piece: Piece, pose: Float64, other: Placed) -> bool:
+        """Tell whether the convex hull of a piece, grown a little, keeps off the triangles of another body."""
+        probe = self._probes.get(piece.info.id)
+        if probe is None:
+            hull = Trimesh(piece.mesh.vertices(), stacked_faces(piece.mesh), process=False).convex_hull
+            hull.apply_transform(np.diag([1.02, 1.02, 1.005, 1.0]))
+            probe = self._probes[piece.info.id] = CollisionManager()
+            probe.add_object("piece", hull)
+        solid = self._solids.get(other.name)
+        if solid is None:
+            mesh = other.piece.mesh
+            solid = self._solids[other.name] = CollisionManager()
+            solid.add_object("body", Trimesh(mesh.vertices(), stacked_faces(mesh), process=False), other.pose)
+        probe.set_transform("piece", pose)
+        return not probe.in_collision_other(solid)
+
+    def shelves(self, placed: Placed) -> list[Shelf]:
+        """Return where things can stand on a body."""
+        return shelves_of(placed.piece.mesh)
+
+    def on_top(
+        self, rng: np.random.Generator, piece: Piece, stand: Placed, *, angle: float, lit: bool = False
+    ) -> Placed | None:
+        """Stand a piece on the highest surface of another, where its foot has most room; None where it has none."""
+        shelves = self.shelves(stand)
+        vertices = piece.mesh.vertices()
+        foot = convex_polygon(vertices[vertices[:, 2] <= vertices[:, 2].min() + 0.01, :2].astype(np.float64))
+        if not shelves or foot is None:
+            return None
+        surface = shelves[-1].surface
+        local = angle - float(np.arctan2(stand.pose[1, 0], stand.pose[0, 0]))
+        centre = surface.centres[int(np.argmax(surface.clearance[surface.free]))]
+        turned = pose_at(centre, surface.height + 0.0003, local)
+        if not surface.supports(foot @ turned[:2, :2].T + centre, 0.004):
+            return None
+        return self.add(rng, piece, stand.pose @ turned, apart_from=(stand.name,), lit=lit)
+
+    def walls_by_room(self, rng: np.random.Generator) -> list[Wall]:
+        """Return the walls, those without openings first, otherwise in a random order."""
+        order = [self.shell.walls[int(i)] for i in rng.permutation(4)]
+        return sorted(order, key=lambda wall: not self.shell.free(wall))
+
+    def _name(self, category: str) -> str:
+        """Name a body after its category: `mug`, `mug_2`."""
+        taken = {body.name for body in self.bodies}
+        plain = re.sub(r"[^a-z0-9]+", "_", category.lower()).strip("_")[:30]
+        plain = plain if plain[:1].isalpha() else f"object_{plain}".rstrip("_")
+        name, number = plain, 2
+        while name in taken:
+            name, number = f"{plain}_{number}", number + 1
+        return name

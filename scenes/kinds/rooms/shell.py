@@ -1,0 +1,245 @@
+"""The shell of a room: floor, ceiling, walls with openings, skirting, windows and doors.
+
+The room's frame: origin on the floor in the middle, +Z up, metres; it reaches from -width/2 to width/2 in x and
+from -depth/2 to depth/2 in y. Walls, floor and ceiling overshoot each other, so that no light leaks in at edges.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multilight.scenes.assets.builtin.joinery import CASING, DOOR_PROUD, EAR, LINING, SILL, WINDOW_PROUD
+from multilight.scenes.assets.info import AssetInfo
+from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.kinds.rooms.finish import Palette
+from multilight.scenes.materials import painted_wall, pick_texture, sample_material, textured
+from multilight.scenes.spec import Body, Material, Rectangle
+from multilight.scenes.still_life.surroundings import upright
+
+Float64 = NDArray[np.float64]
+
+OVERSHOOT = 0.3
+"""How far [m] walls, floor and ceiling run on behind each other."""
+HEADS = (2.12, 2.28)
+"""Height [m] of the top of window openings."""
+DOOR_ZONE = 0.95
+"""What is kept free before a door [m]."""
+SKIRTING = (0.12, 0.017)
+"""Greatest height and thickness [m] of skirting boards, the latter with a hair's breadth to spare."""
+_FLOORS = ("wood", "wood", "wood", "tiles", "stone", "concrete", "fabric")
+_KITCHEN_FLOORS = ("tiles", "tiles", "stone", "wood", "concrete")
+_FINISH = {"fabric": "fabric", "concrete": "rough stone", "stone": "stone", "tiles": "stone"}
+
+
+@dataclass(frozen=True)
+class Wall:
+    """One wall: its middle on the floor (2,) [m], the unit vector into the room (2,), and its length [m]."""
+
+    name: str
+    centre: Float64
+    inward: Float64
+    length: float
+
+    @property
+    def right(self) -> Float64:
+        """The way along the wall that is to the right as seen from inside, (2,)."""
+        return np.array([-self.inward[1], self.inward[0]])
+
+    @property
+    def angle(self) -> float:
+        """The yaw [rad] that turns the back (+Y) of an asset to the wall."""
+        return float(np.arctan2(self.inward[0], -self.inward[1]))
+
+    def point(self, along: float, out: float) -> Float64:
+        """Return the place (2,) `along` the wall from its middle and `out` into the room [m]."""
+        return self.centre + along * self.right + out * self.inward
+
+
+@dataclass(frozen=True)
+class Opening:
+    """A window or door in a wall: the hole's middle along the wall, its width and heights [m], and what fills it."""
+
+    wall: Wall
+    along: float
+    width: float
+    bottom: float
+    top: float
+    info: AssetInfo
+    proud: float
+
+    @property
+    def is_door(self) -> bool:
+        """Whether it reaches the floor and people go through."""
+        return self.info.category == "door"
+
+
+@dataclass
+class Shell:
+    """A room without furniture."""
+
+    width: float
+    depth: float
+    height: float
+    walls: tuple[Wall, ...]
+    openings: list[Opening] = field(default_factory=list)
+
+    def free(self, wall: Wall) -> bool:
+        """Tell whether a wall has neither window nor door."""
+        return all(opening.wall is not wall for opening in self.openings)
+
+
+def sample_shell(
+    rng: np.random.Generator, library: AssetLibrary, *, span: tuple[tuple[float, float], tuple[float, float]]
+) -> Shell:
+    """Draw a room's size, its windows on one or two walls and its door on another.
+
+    `span` gives the least and greatest length of the longer and of the shorter side [m].
+    """
+    sides = [float(rng.uniform(*span[0])), float(rng.uniform(*span[1]))]
+    width, depth = sides if rng.random() < 0.5 else sides[::-1]
+    walls = (
+        Wall("south", np.array([0.0, -depth / 2]), np.array([0.0, 1.0]), width),
+        Wall("east", np.array([width / 2, 0.0]), np.array([-1.0, 0.0]), depth),
+        Wall("north", np.array([0.0, depth / 2]), np.array([0.0, -1.0]), width),
+        Wall("west", np.array([-width / 2, 0.0]), np.array([1.0, 0.0]), depth),
+    )
+    shell = Shell(width, depth, float(rng.uniform(2.5, 3.0)), walls)
+    order = [walls[int(i)] for i in rng.permutation(4)]
+    _windows(rng, library, shell, order[0])
+    if rng.random() < 0.4:
+        _windows(rng, library, shell, order[1])
+    doors = [info for info in library.list("surrounding") if info.category == "door"]
+    info = doors[int(rng.integers(len(doors)))]
+    width = _size(info)[0] - 2 * CASING + LINING
+    slack = order[2].length / 2 - width / 2 - CASING - 0.06
+    along = float(rng.choice([-1.0, 1.0])) * slack * (1.0 if rng.random() < 0.75 else float(rng.uniform(0.0, 1.0)))
+    top = _size(info)[2] - CASING + LINING / 2
+    shell.openings.append(Opening(order[2], along, width, 0.0, top, info, DOOR_PROUD))
+    return shell
+
+
+def _size(info: AssetInfo) -> tuple[float, float, float]:
+    """Return an asset's extent [m]."""
+    assert info.size is not None
+    return info.size
+
+
+def _windows(rng: np.random.Generator, library: AssetLibrary, shell: Shell, wall: Wall) -> None:
+    """Cut one window, or two alike, into a wall."""
+    fitting = [
+        info for info in library.list("surrounding") if info.category == "window" and _size(info)[0] < wall.length - 0.5
+    ]
+    info = fitting[int(rng.integers(len(fitting)))]
+    outer, _, tall = _size(info)
+    top = float(rng.uniform(*HEADS))
+    bottom = top - (tall - SILL - CASING) - LINING
+    width = outer - 2 * EAR + LINING
+    if 2 * outer + 1.0 < wall.length and rng.random() < 0.6:
+        gap = float(rng.uniform(0.25, 0.5)) * (wall.length - 2 * outer)
+        places = [-(outer + gap) / 2, (outer + gap) / 2]
+    else:
+        slack = (wall.length - outer) / 2 - 0.15
+        places = [float(rng.uniform(-0.5, 0.5)) * slack]
+    for along in places:
+        shell.openings.append(Opening(wall, along, width, bottom, top, info, WINDOW_PROUD))
+
+
+def shell_bodies(
+    rng: np.random.Generator, library: AssetLibrary, shell: Shell, palette: Palette, kind: str
+) -> list[Body]:
+    """Build floor, ceiling, walls and skirting; windows and doors are placed as pieces."""
+    x, y, over = shell.width, shell.depth, 2 * OVERSHOOT
+    size = (x + over, y + over)
+    turned = np.eye(4)
+    if rng.random() < 0.5:
+        turned[:2, :2] = [[0.0, -1.0], [1.0, 0.0]]
+        size = size[::-1]
+    ceiling = np.diag([1.0, -1.0, -1.0, 1.0])
+    ceiling[2, 3] = shell.height
+    white = sample_material(rng, "wall", colour=(0.8, 0.8, 0.78), name="ceiling_paint")
+    bodies = [_plane("floor", size, _floor(rng, library, kind), turned)]
+    bodies.append(_plane("ceiling", (x + over, y + over), white, ceiling))
+    paint = painted_wall(rng)
+    accent = _accent(rng, library) if rng.random() < 0.5 else paint
+    plain = [wall for wall in shell.walls if shell.free(wall)]
+    papered = plain[int(rng.integers(len(plain)))] if plain else None
+    board = (float(rng.uniform(0.5, 1.0)) * SKIRTING[0], float(rng.uniform(0.6, 0.95)) * SKIRTING[1])
+    for wall in shell.walls:
+        bodies += _wall(shell, wall, accent if wall is papered else paint)
+        bodies += _skirting(shell, wall, palette.joinery, board)
+    return bodies
+
+
+def _plane(name: str, size: tuple[float, ...], material: Material, pose: Float64) -> Body:
+    """Make a rectangular part of the shell."""
+    return Body(
+        name=name,
+        role="surrounding",
+        category=name.split("_")[0],
+        geometry=Rectangle(width=size[0], height=size[1]),
+        materials=(material,),
+        world_from_body=pose.tolist(),
+    )
+
+
+def _floor(rng: np.random.Generator, library: AssetLibrary, kind: str) -> Material:
+    """Draw a floor: boards and parquet mostly, tiles in kitchens, carpet sometimes."""
+    categories = _KITCHEN_FLOORS if kind == "kitchen" else _FLOORS
+    wanted = categories[int(rng.integers(len(categories)))]
+    info = pick_texture(rng, library, frozenset({wanted}), laid=True)
+    if info is None:
+        return sample_material(rng, "wood", name="floor")
+    return textured(rng, info, _FINISH.get(wanted, "floor"))
+
+
+def _accent(rng: np.random.Generator, library: AssetLibrary) -> Material:
+    """Draw the finish of the one wall that differs: brick, plaster, or another paint."""
+    info = pick_texture(rng, library, frozenset({"brick", "plaster", "concrete"}), laid=True)
+    return painted_wall(rng) if info is None or rng.random() < 0.5 else textured(rng, info, "wall")
+
+
+def _wall(shell: Shell, wall: Wall, material: Material) -> list[Body]:
+    """Fill a wall with rectangles round its openings."""
+    low, high = -OVERSHOOT, shell.height + OVERSHOOT
+    end = wall.length / 2 + OVERSHOOT
+    panels: list[tuple[float, float, float, float]] = []
+    here = -end
+    for opening in sorted((o for o in shell.openings if o.wall is wall), key=lambda o: o.along):
+        left, right = opening.along - opening.width / 2, opening.along + opening.width / 2
+        panels.append((here, left, low, high))
+        panels.append((left, right, opening.top, high))
+        if not opening.is_door:
+            panels.append((left, right, low, opening.bottom))
+        here = right
+    panels.append((here, end, low, high))
+    bodies = []
+    for number, (left, right, bottom, top) in enumerate(panels):
+        place = wall.point((left + right) / 2, 0.0)
+        pose = upright((float(place[0]), float(place[1]), (bottom + top) / 2), (wall.inward[0], wall.inward[1]))
+        bodies.append(_plane(f"wall_{wall.name}_{number}", (right - left, top - bottom), material, pose))
+    return bodies
+
+
+def _skirting(shell: Shell, wall: Wall, material: Material, board: tuple[float, float]) -> list[Body]:
+    """Run a board of height and thickness [m] along a wall, but not across doors and tall windows."""
+    high, thick = board
+    cuts = [
+        (o.along - o.width / 2 - CASING, o.along + o.width / 2 + CASING)
+        for o in shell.openings
+        if o.wall is wall and o.bottom < high
+    ]
+    bodies = []
+    here = -wall.length / 2
+    for number, (left, right) in enumerate([*sorted(cuts), (wall.length / 2, np.inf)]):
+        if left - here > 0.02:
+            middle, length = (here + left) / 2, left - here
+            x, y = (float(v) for v in wall.point(middle, thick))
+            pose = upright((x, y, high / 2), (wall.inward[0], wall.inward[1]))
+            ledge = np.eye(4)
+            ledge[:3, 0], ledge[:3, 1] = pose[:3, 0], -pose[:3, 2]
+            ledge[:3, 3] = [*wall.point(middle, thick / 2), high]
+            bodies.append(_plane(f"skirting_{wall.name}_{number}", (length, high), material, pose))
+            bodies.append(_plane(f"skirting_{wall.name}_{number}_top", (length, thick), material, ledge))
+        here = right
+    return bodies

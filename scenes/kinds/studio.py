@@ -1,0 +1,122 @@
+"""Studio scenes: wares before a photographer's seamless backdrop, on its floor, on a product table, on plinths."""
+
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multilight.scenes.assets.builtin.backdrops import ROLL, ROLL_ID, STUDIO, SWEEP_ID, TABLE_SWEEP_IDS, table_size
+from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.materials import linear_from_hex, painted_wall, sample_material
+from multilight.scenes.spec import Body, Material, SceneSpec
+from multilight.scenes.still_life.receivers import choose_receiver, with_receiver
+from multilight.scenes.still_life.sample import StillLifeSettings, sample_still_life
+from multilight.scenes.still_life.setting import Setting, flat_surface, make_body
+from multilight.scenes.still_life.surroundings import plane, upright
+from multilight.scenes.streams import Streams
+
+StudioKind = Literal["cyclorama", "roll", "table"]
+SHARES: dict[StudioKind, float] = {"cyclorama": 0.3, "roll": 0.3, "table": 0.4}
+"""How often the backdrop is a wide cove, a paper roll on a stand, a product table."""
+PLINTHS = 0.45
+"""Share of the scenes with plinths."""
+LENS_MM = (35.0, 85.0)
+MOST = 6
+_PAPERS = (
+    "f6f5f2", "f6f5f2", "e4e2de", "b9bbbd", "7d7f82", "4a4b4e", "2b2b2d", "e6d8c4", "c9d5d0", "7fa0ad", "d8aea4",
+    "97a289", "ecd6a6", "b5402f", "1f4e79", "e0a32e", "2f6b4f", "6a4a7d",
+)  # fmt: skip
+
+Float64 = NDArray[np.float64]
+
+
+def sample_studio(streams: Streams, library: AssetLibrary, *, index: int, settings: StillLifeSettings) -> SceneSpec:
+    """Draw a studio scene: three to six objects, cameras of 35 to 85 mm (within the configured lenses).
+
+    The same streams, assets and settings give the same scene anywhere. Raises `SceneSamplingError` where no attempt
+    succeeds.
+    """
+    place = streams("place")
+    kind = str(place.choice(list(SHARES), p=list(SHARES.values())))
+    receiver = choose_receiver(place, loose=True)
+    raised = float(place.uniform(0.3, 0.8)) if place.random() < PLINTHS and receiver == "none" else 0.0
+
+    def build(attempt: int) -> Setting:
+        rng = streams(f"studio/{attempt}")
+        closed = receiver != "none"
+        setting = _table(rng, library, closed) if kind == "table" else _floor(rng, library, kind == "roll", closed)
+        setting = replace(setting, raised=raised)
+        return with_receiver(streams(f"receiver/{attempt}"), library, setting, receiver)
+
+    low, high = (float(np.clip(lens, *LENS_MM)) for lens in settings.cameras.lens_mm)
+    cameras = settings.cameras.model_copy(update={"lens_mm": (low, high)})
+    settings = settings.model_copy(update={"cameras": cameras})
+    return sample_still_life(streams, library, build, kind="studio", index=index, settings=settings)
+
+
+def _paper(rng: np.random.Generator) -> Material:
+    """Draw a backdrop: paper mostly, sometimes painted cove or vinyl with a sheen."""
+    colour = linear_from_hex(str(rng.choice(_PAPERS)))
+    finish = "paper" if rng.random() < 0.75 else "paint"
+    return sample_material(rng, finish, colour=colour, name="paper")
+
+
+def _room(rng: np.random.Generator, behind: float, closed: bool) -> list[Body]:
+    """Build the studio itself: a floor, dim walls behind and on one side, `behind` [m] from the middle.
+
+    Where something mirrors, the other walls and the ceiling are there too, so that it shows a room, not a void.
+    """
+    concrete = sample_material(rng, "floor", colour=linear_from_hex(str(rng.choice(("77736c", "54514c", "8d8a85")))))
+    wall, side = painted_wall(rng), float(rng.choice([-1.0, 1.0]))
+    height, aside, size = 4.3, float(rng.uniform(3.0, 5.0)) if not closed else 5.5, 12.0
+    middle = behind - size / 2
+    plan = {"back": ((0.0, behind), (0.0, -1.0), 2 * aside), "side": ((side * aside, middle), (-side, 0.0), size)}
+    if closed:
+        plan["other_side"] = ((-side * aside, middle), (side, 0.0), size)
+        plan["front"] = ((0.0, behind - size), (0.0, 1.0), 2 * aside)
+    bodies = [plane("floor", (40.0, 40.0), concrete, np.eye(4))]
+    for name, ((x, y), inward, width) in plan.items():
+        bodies.append(plane(f"wall_{name}", (width, height), wall, upright((x, y, height / 2), inward)))
+    if closed:
+        over = np.diag([1.0, -1.0, -1.0, 1.0])
+        over[:3, 3] = [0.0, middle, height]
+        bodies.append(plane("ceiling", (2 * aside, size), sample_material(rng, "wall"), over))
+    return bodies
+
+
+def _floor(rng: np.random.Generator, library: AssetLibrary, roll: bool, closed: bool) -> Setting:
+    """Set up a sweep on the studio's floor; things stand on the paper."""
+    size, asset = (ROLL, ROLL_ID) if roll else (STUDIO, SWEEP_ID)
+    mesh = library.mesh(asset)
+    pose = np.eye(4)
+    pose[2, 3] = 0.0003
+    bar = sample_material(rng, "polished", name="bar")
+    materials = (_paper(rng), bar)[: len(mesh.parts)]
+    body = make_body("backdrop", "surrounding", library.info(asset), mesh, materials, pose)
+    room = _room(rng, size.depth / 2 + 0.4, closed)
+    # The cove hides the walls of an open studio.
+    bodies = room if roll or closed else room[:1]
+    depth = min(1.5, 0.6 * (size.depth - size.radius))
+    surface = flat_surface(min(2.4, 0.8 * size.width), depth)
+    # Wares stand well before the bend, so that their shadows fall on paper.
+    on_paper = pose.copy()
+    on_paper[1, 3] = size.depth / 2 - size.radius - 0.3 - depth / 2
+    return Setting((*bodies, body), (), surface, on_paper, -np.pi / 2, 0.6, most=MOST)
+
+
+def _table(rng: np.random.Generator, library: AssetLibrary, closed: bool) -> Setting:
+    """Set up a product table: a small sweep on a frame."""
+    asset = TABLE_SWEEP_IDS[int(rng.integers(len(TABLE_SWEEP_IDS)))]
+    info, mesh = library.info(asset), library.mesh(asset)
+    frame = sample_material(rng, str(rng.choice(("brushed", "paint"))), name="frame")
+    body = make_body("backdrop", "support", info, mesh, (_paper(rng), frame), np.eye(4))
+    paper = mesh.parts[0].vertices
+    low, size = paper.min(axis=0).astype(float), table_size(float(np.ptp(paper[:, 0])))
+    # Only before the bend is the paper flat.
+    surface = flat_surface(size.width, size.depth - size.radius, cell=0.01)
+    on_paper = np.eye(4)
+    on_paper[:3, 3] = [low[0] + size.width / 2, low[1] + (size.depth - size.radius) / 2, low[2]]
+    deep = float(mesh.bounds()[1, 1])
+    room = _room(rng, deep + float(rng.uniform(0.3, 1.5)), closed)
+    return Setting((*room, body), (), surface, on_paper, -np.pi / 2, 0.55, most=MOST)

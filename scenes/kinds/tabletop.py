@@ -1,0 +1,95 @@
+"""Tabletop scenes: a table in a surrounding, a still life on it, and cameras that approach it."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multilight.scenes.assets.info import AssetInfo
+from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.geometry.rays import body_triangles
+from multilight.scenes.geometry.support_surfaces import SupportSurface
+from multilight.scenes.materials import body_materials, metres_per_uv, pick_texture, textured
+from multilight.scenes.meshes import Mesh
+from multilight.scenes.spec import Body, SceneSpec
+from multilight.scenes.still_life.receivers import ReceiverKind, choose_receiver, receiver_material, with_receiver
+from multilight.scenes.still_life.sample import SceneSamplingError, StillLifeSettings, sample_still_life
+from multilight.scenes.still_life.selection import choose_table
+from multilight.scenes.still_life.setting import Setting, about_z, emissive_candidate, make_body
+from multilight.scenes.still_life.surroundings import KINDS, SHARES, SurroundingKind, sample_surrounding
+from multilight.scenes.streams import Streams
+
+__all__ = ["SceneSamplingError", "TabletopSettings", "emissive_candidate", "sample_tabletop"]
+
+_TOPS = frozenset({"wood", "marble", "linen", "fabric", "laminate", "stone", "terrazzo", "cork"})
+_BACKED = frozenset({"counter", "nightstand", "sideboard"})
+"""Furniture that turns its back to the wall."""
+_TOP_FINISH = {"marble": "stone", "terrazzo": "stone", "stone": "stone", "linen": "fabric", "fabric": "fabric"}
+
+TabletopSettings = StillLifeSettings
+Float64 = NDArray[np.float64]
+
+
+def sample_tabletop(streams: Streams, library: AssetLibrary, *, index: int, settings: TabletopSettings) -> SceneSpec:
+    """Draw a tabletop scene; the same streams, assets and settings give the same scene anywhere.
+
+    Raises `SceneSamplingError` where no attempt succeeds.
+    """
+    place = streams("place")
+    kind = KINDS[int(place.choice(len(KINDS), p=SHARES))]
+    receiver = choose_receiver(place)
+
+    def build(attempt: int) -> Setting:
+        setting = _setting(streams, library, kind, receiver, attempt)
+        return with_receiver(streams(f"receiver/{attempt}"), library, setting, receiver)
+
+    return sample_still_life(streams, library, build, kind="tabletop", index=index, settings=settings)
+
+
+def _setting(
+    streams: Streams, library: AssetLibrary, kind: SurroundingKind, receiver: ReceiverKind, attempt: int
+) -> Setting:
+    """Draw the table and what is around it."""
+    rng = streams(f"table/{attempt}")
+    info, mesh, surface = choose_table(rng, library)
+    table = _table(rng, library, info, mesh, surface, aligned=kind != "ground")
+    if receiver.endswith(" top"):
+        materials = list(table.materials)
+        materials[surface.part] = receiver_material(rng, receiver)
+        table = table.model_copy(update={"materials": tuple(materials)})
+    corners = body_triangles(table, library)[0]
+    extent = np.stack([corners.min(axis=0), corners.max(axis=0)])
+    around = sample_surrounding(streams(f"surrounding/{attempt}"), library, kind=kind, table=extent)
+    return Setting(
+        bodies=(*around.bodies, table),
+        solids=("table",),
+        surface=surface,
+        world_from_surface=np.array(table.world_from_body),
+        front=around.front,
+        opening=around.opening,
+    )
+
+
+def _table(
+    rng: np.random.Generator,
+    library: AssetLibrary,
+    info: AssetInfo,
+    mesh: Mesh,
+    surface: SupportSurface,
+    *,
+    aligned: bool,
+) -> Body:
+    """Put the table down, parallel to the walls where there are any, and draw its materials."""
+    materials = list(body_materials(rng, library, info, mesh))
+    scale = metres_per_uv(mesh.parts[surface.part])
+    texture = pick_texture(rng, library, _TOPS, laid=False)
+    if texture is not None and scale is not None and rng.random() < 0.5:
+        finish = _TOP_FINISH.get(texture.category, "wood")
+        materials[surface.part] = textured(rng, texture, finish, metres_per_uv=scale)
+    if aligned and info.category in _BACKED:
+        angle = 0.0
+    elif aligned:
+        long_side = bool(np.ptp(mesh.bounds()[:, 0]) >= np.ptp(mesh.bounds()[:, 1]))
+        quarter = 0 if long_side == bool(rng.random() < 0.85) else 1
+        angle = np.pi / 2 * (quarter + 2 * int(rng.integers(2)))
+    else:
+        angle = float(rng.uniform(0.0, 2 * np.pi))
+    return make_body("table", "support", info, mesh, materials, about_z(angle))

@@ -1,0 +1,299 @@
+"""Piles: fruit in a bowl, books and crockery in stacks, toys in a heap, each settled on a plane of its own.
+
+A pile is built on the plane z = 0 about the origin, so that whoever places things can treat it as one.
+"""
+
+import re
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+from trimesh import Trimesh
+from trimesh.creation import box
+
+from multilight.scenes.assets.info import AssetInfo
+from multilight.scenes.assets.library import AssetError, AssetLibrary
+from multilight.scenes.cameras.pinhole import matrix4
+from multilight.scenes.geometry.overlap import boxes_meet, gap
+from multilight.scenes.geometry.solids import Placed, Solid
+from multilight.scenes.geometry.support_surfaces import convex_polygon, stacked_faces
+from multilight.scenes.materials import body_materials
+from multilight.scenes.meshes import Mesh
+from multilight.scenes.physics.fall import Region
+from multilight.scenes.physics.settle import Settled, settle, stack
+from multilight.scenes.spec import Body, Material, MeshAsset
+from multilight.scenes.still_life.placement import PlacementError, Standing
+
+PileKind = Literal["fruit_bowl", "books", "plates", "bowls", "cups", "toys"]
+KINDS: tuple[PileKind, ...] = get_args(PileKind)
+
+_FRUIT = frozenset({"fruit"})
+_TOYS = frozenset({"block", "die", "pawn", "ring", "toy"})
+_NESTED: dict[PileKind, frozenset[str]] = {
+    "plates": frozenset({"plate"}),
+    "bowls": frozenset({"bowl"}),
+    "cups": frozenset({"cup", "tumbler"}),
+}
+_NESTS = 0.7
+"""Things stack well that rise by less than this share of their height each."""
+TALLEST = 0.45
+"""Sum of the heights [m] of nested crockery, before it goes into each other."""
+FEWEST = 3
+"""Things that make a pile."""
+_FILL = 0.75
+"""Share of a bowl's space, up to its rim, that its contents take."""
+
+Float64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Member:
+    """One thing of a pile: `pile_from_body` (4, 4), metres."""
+
+    info: AssetInfo
+    mesh: Mesh
+    pile_from_body: Float64
+
+
+@dataclass(frozen=True)
+class Pile:
+    """Things at rest on z = 0 about the origin; the first member lies lowest. `dropped`: ids that found no rest."""
+
+    kind: PileKind
+    members: tuple[Member, ...]
+    dropped: tuple[str, ...]
+
+    @cached_property
+    def loose(self) -> tuple[int, ...]:
+        """Numbers of the members that carry no other: only those can be taken away."""
+        placed = [Placed(_solid(m.mesh), m.pile_from_body) for m in self.members]
+        return tuple(
+            number
+            for number, item in enumerate(placed)
+            if not any(
+                other.centre_of_mass[2] > item.centre_of_mass[2]
+                and boxes_meet(item, other, 1e-3)
+                and gap(item, other) < 1e-3
+                for other in placed
+            )
+        )
+
+    def bodies(
+        self, rng: np.random.Generator, library: AssetLibrary, world_from_pile: Float64, *, taken: Collection[str]
+    ) -> list[Body]:
+        """Clothe the members of the pile, standing at `world_from_pile` (4, 4), under names that are not `taken`.
+
+        They come in the order of the members; none is marked insertable (`loose` says which may be).
+        """
+        clothes: dict[str, tuple[Material, ...]] = {}
+        result: list[Body] = []
+        for member in self.members:
+            known = clothes.get(member.info.id) if self.alike else None
+            materials = known or body_materials(rng, library, member.info, member.mesh)
+            clothes[member.info.id] = materials
+            name = _name(member.info.category, {*taken, *(body.name for body in result)})
+            result.append(
+                Body(
+                    name=name,
+                    role="object",
+                    category=member.info.category,
+                    geometry=MeshAsset(
+                        asset=member.info.id, mesh_sha256=member.mesh.sha256(), parts=len(member.mesh.parts)
+                    ),
+                    materials=materials,
+                    world_from_body=matrix4(world_from_pile @ member.pile_from_body),
+                )
+            )
+        return result
+
+    @property
+    def alike(self) -> bool:
+        """Whether the members are of one set, and should share their materials."""
+        return self.kind in _NESTED
+
+    def standing(self) -> Standing:
+        """Return the pile as one thing to place; its pose in the world times a member's in the pile is the member's."""
+        points = np.concatenate([_moved(m.mesh.vertices().astype(np.float64), m.pile_from_body) for m in self.members])
+        hull = Trimesh(points, process=False).convex_hull
+        footprint = convex_polygon(np.asarray(hull.vertices)[:, :2])
+        assert footprint is not None
+        first = self.members[0]
+        return Standing(first.info, first.mesh, hull, np.eye(3), 0.0, footprint)
+
+
+def sample_pile(
+    rng: np.random.Generator, library: AssetLibrary, *, kind: PileKind | None = None, widest: float = 0.4
+) -> Pile:
+    """Draw and settle a pile of the given kind (None: of any) that is at most about `widest` [m] across.
+
+    Every member is carried and none lies deeper than a millimetre in another. Raises `PlacementError` where too
+    few suitable assets are installed or too few come to rest.
+    """
+    drawn = KINDS[int(rng.integers(len(KINDS)))]
+    kind = kind or drawn
+    match kind:
+        case "fruit_bowl":
+            pile = _fruit_bowl(rng, library, widest)
+        case "toys":
+            pile = _heap(rng, library, widest)
+        case "books":
+            pile = _books(rng, library, widest)
+        case "plates" | "bowls" | "cups":
+            pile = _crockery(rng, library, kind, widest)
+    if len(pile.members) < FEWEST:
+        raise PlacementError(f"only {len(pile.members)} things of a pile of {kind} came to rest, need {FEWEST}")
+    return pile
+
+
+def _name(category: str, taken: Collection[str]) -> str:
+    plain = re.sub(r"[^a-z0-9]+", "_", category.lower()).strip("_")[:30]
+    name, number = f"pile_{plain}", 2
+    while name in taken:
+        name, number = f"pile_{plain}_{number}", number + 1
+    return name
+
+
+def _solid(mesh: Mesh) -> Solid:
+    return Solid(mesh.vertices().astype(np.float64), stacked_faces(mesh))
+
+
+def _plane() -> Placed:
+    """Return the plane on which piles are built, as a slab."""
+    slab = box((3.0, 3.0, 0.1))
+    pose = np.eye(4)
+    pose[2, 3] = -0.05
+    return Placed(Solid(np.asarray(slab.vertices), np.asarray(slab.faces)), pose)
+
+
+def _suitable(
+    library: AssetLibrary, categories: frozenset[str], longest: tuple[float, float]
+) -> list[tuple[AssetInfo, Mesh]]:
+    """Load the assets of some categories whose longest side lies in a range [m]."""
+    found = []
+    for info in library.list("object"):
+        if info.category in categories and info.size and longest[0] <= max(info.size) <= longest[1]:
+            try:
+                found.append((info, library.mesh(info.id)))
+            except AssetError:
+                continue
+    return found
+
+
+def _pick(rng: np.random.Generator, found: Sequence[tuple[AssetInfo, Mesh]], what: str) -> tuple[AssetInfo, Mesh]:
+    if not found:
+        raise PlacementError(f"no {what} installed for a pile; run `multilight assets fetch`")
+    return found[int(rng.integers(len(found)))]
+
+
+def _fruit_bowl(rng: np.random.Generator, library: AssetLibrary, widest: float) -> Pile:
+    """Fill a bowl with fruit up to a little over its rim."""
+    bowls = [b for b in _suitable(library, frozenset({"bowl"}), (0.15, widest)) if _is_hollow(b[1])]
+    info, mesh = _pick(rng, bowls, "bowl")
+    low, high = mesh.bounds().astype(float)
+    space = 0.55 * float(np.prod(high - low)) * _FILL
+    chosen: list[tuple[AssetInfo, Mesh]] = []
+    fruit = _suitable(library, _FRUIT, (0.02, 0.45 * float((high - low)[:2].min())))
+    while len(chosen) < 9:
+        item = _pick(rng, fruit, "fruit that fits the bowl")
+        # Loosely poured spheres take up about 1.7 times their volume; a ball is half of its box.
+        space -= 0.5 * 1.7 * float(np.prod(np.ptp(item[1].bounds(), axis=0)))
+        if space < 0 and len(chosen) >= 2:
+            break
+        chosen.append(item)
+    radius = float((high - low)[:2].min()) / 2
+    region = Region((0.0, 0.0), 1.1 * radius)
+    bowl = Placed(_solid(mesh), np.eye(4))
+    settled = settle(rng, [_solid(m) for _, m in chosen], [_plane(), bowl], region, spread=0.35 * radius)
+    inside = _within(settled, radius)
+    return _pile("fruit_bowl", [(info, mesh), *chosen], Settled((np.eye(4), *inside.poses), inside.dropped))
+
+
+def _within(settled: Settled, radius: float) -> Settled:
+    """Drop what came to rest beside the bowl; what is in it does not rest on that."""
+
+    def inside(pose: Float64 | None) -> bool:
+        return pose is not None and bool(np.hypot(pose[0, 3], pose[1, 3]) < radius and pose[2, 3] > 0.004)
+
+    poses = tuple(pose if inside(pose) else None for pose in settled.poses)
+    return Settled(poses, settled.dropped)
+
+
+def _is_hollow(mesh: Mesh) -> bool:
+    """Tell whether a vessel is open: seen from above its middle lies low."""
+    solid = Trimesh(mesh.vertices(), stacked_faces(mesh), process=False)
+    height = float(solid.bounds[1, 2])
+    middle = solid.ray.intersects_first([[0.0003, 0.0002, height + 0.1]], [[0.0, 0.0, -1.0]])
+    return bool(middle[0] >= 0 and solid.triangles[middle[0], :, 2].max() < 0.5 * height)
+
+
+def _heap(rng: np.random.Generator, library: AssetLibrary, widest: float) -> Pile:
+    """Pour small toys on one spot."""
+    toys = _suitable(library, _TOYS, (0.025, 0.11))
+    chosen = [_pick(rng, toys, "toys") for _ in range(int(rng.integers(8, 14)))]
+    region = Region((0.0, 0.0), widest / 2)
+    settled = settle(rng, [_solid(m) for _, m in chosen], [_plane()], region, spread=0.05 * widest)
+    return _centred(_pile("toys", chosen, settled))
+
+
+def _books(rng: np.random.Generator, library: AssetLibrary, widest: float) -> Pile:
+    """Lay books on each other, the largest lowest, roughly in line."""
+    found = _suitable(library, frozenset({"book"}), (0.1, widest))
+    chosen = [_pick(rng, found, "books") for _ in range(int(rng.integers(3, 7)))]
+    chosen.sort(key=lambda entry: -float(np.prod(np.ptp(entry[1].bounds(), axis=0)[:2])))
+    poses = [_turned(rng, turn=0.12, half=0.5, shift=0.008) for _ in chosen]
+    made: dict[str, Solid] = {}
+    solids = [made.setdefault(info.id, _solid(mesh)) for info, mesh in chosen]
+    return _pile("books", chosen, stack(solids, poses, [_plane()]))
+
+
+def _crockery(rng: np.random.Generator, library: AssetLibrary, kind: PileKind, widest: float) -> Pile:
+    """Put one sort of plate, bowl or cup into itself."""
+    found = _suitable(library, _NESTED[kind], (0.06, widest))
+    found = [item for item in found if kind == "plates" or _is_hollow(item[1])]
+    count = int(rng.integers(3, 7))
+    for number in rng.permutation(len(found)):
+        mesh = found[int(number)][1]
+        low, high = mesh.bounds().astype(float)
+        x, y, height = high - low
+        # What is not round lies the same way; a shift would keep steep walls apart.
+        turn, shift = (np.pi if abs(x - y) < 0.01 * x else 0.03), 0.0006 if kind == "plates" else 0.0
+        poses = [_turned(rng, turn=turn, half=0.5, shift=shift) for _ in range(count)]
+        poses = poses[: max(FEWEST, int(TALLEST / height))]
+        count = len(poses)
+        pile = _pile(kind, [found[int(number)]] * count, stack([_solid(mesh)] * count, poses, [_plane()]))
+        if len(pile.members) >= FEWEST and pile.members[1].pile_from_body[2, 3] < _NESTS * height:
+            return pile
+    raise PlacementError(f"no {kind} installed that go into one another; run `multilight assets fetch`")
+
+
+def _turned(rng: np.random.Generator, *, turn: float, half: float, shift: float) -> Float64:
+    """Draw a pose (4, 4): turned by up to about `turn` [rad], with a chance `half` half round, and shifted a little."""
+    angle = rng.normal(0.0, turn) + (np.pi if rng.random() < half else 0.0)
+    pose = np.eye(4)
+    pose[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    pose[:2, 3] = rng.normal(0.0, shift, 2)
+    return pose
+
+
+def _pile(kind: PileKind, chosen: Sequence[tuple[AssetInfo, Mesh]], settled: Settled) -> Pile:
+    pairs = list(zip(chosen, settled.poses, strict=True))
+    members = tuple(Member(info, mesh, pose) for (info, mesh), pose in pairs if pose is not None)
+    return Pile(kind, members, tuple(info.id for (info, _), pose in pairs if pose is None))
+
+
+def _centred(pile: Pile) -> Pile:
+    """Shift a pile so that its middle stands over the origin."""
+    if not pile.members:
+        return pile
+    middle = np.mean([m.pile_from_body[:2, 3] for m in pile.members], axis=0)
+    shift = np.eye(4)
+    shift[:2, 3] = -middle
+    members = tuple(Member(m.info, m.mesh, shift @ m.pile_from_body) for m in pile.members)
+    return Pile(pile.kind, members, pile.dropped)
+
+
+def _moved(points: Float64, pose: Float64) -> Float64:
+    return np.asarray(points @ pose[:3, :3].T + pose[:3, 3])

@@ -1,0 +1,74 @@
+"""Plinths: some objects of a still life stand raised, as photographers show wares."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from trimesh import Trimesh
+
+from multilight.scenes.assets.info import AssetInfo
+from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.materials import metres_per_uv, pick_texture, sample_material, textured
+from multilight.scenes.spec import Material
+from multilight.scenes.still_life.placement import Standing, resting_poses
+
+EDGE = 0.008
+"""Smallest distance [m] of an object's footprint to the plinth's edge."""
+TALLEST = 0.22
+"""Objects higher than this [m] stay on the floor, lest they tower over all others."""
+_FINISHES = {"paint": 0.45, "stone": 0.2, "wood": 0.15, "lacquer": 0.08, "mirror": 0.06, "polished stone": 0.06}
+
+
+@dataclass(frozen=True)
+class Raised:
+    """An object as it is arranged: on its own, or with the plinth below it as one piece."""
+
+    standing: Standing
+    plinth: AssetInfo | None = None
+
+    @property
+    def standing_from_body(self) -> NDArray[np.float64]:
+        """Return the pose (4, 4) of the object's mesh in the arranged piece's frame."""
+        pose = np.eye(4)
+        pose[:3, :3], pose[2, 3] = self.standing.turn, self.standing.lift
+        return pose
+
+    def material(self, rng: np.random.Generator, library: AssetLibrary) -> Material:
+        """Draw what the plinth is made of."""
+        assert self.plinth is not None
+        finish = str(rng.choice(list(_FINISHES), p=list(_FINISHES.values())))
+        scale = metres_per_uv(library.mesh(self.plinth.id).parts[0]) or 1.0
+        texture = pick_texture(rng, library, frozenset({finish}), laid=False)
+        if finish in ("wood", "stone") and texture is not None:
+            return textured(rng, texture, finish, metres_per_uv=scale)
+        return sample_material(rng, finish)
+
+
+def raise_some(rng: np.random.Generator, library: AssetLibrary, items: list[Standing], share: float) -> list[Raised]:
+    """Put the share of the objects that plinths can carry on plinths."""
+    if share == 0:
+        return [Raised(item) for item in items]
+    plinths = [info for info in library.list("surrounding") if info.category == "plinth"]
+    result = []
+    for item in items:
+        reach = float(np.linalg.norm(item.footprint, axis=1).max()) + EDGE
+        fit = [info for info in plinths if info.size is not None and _inner(info.size) >= reach]
+        if fit and item.info.role == "object" and item.height <= TALLEST and rng.random() < share:
+            result.append(_on(item, fit[int(rng.integers(min(4, len(fit))))], library))
+        else:
+            result.append(Raised(item))
+    return result
+
+
+def _inner(size: tuple[float, float, float]) -> float:
+    """Return a radius [m] that a plinth of that extent surely covers: that of a hexagon's inner circle."""
+    return 0.5 * min(size[0], size[1]) * float(np.cos(np.pi / 6))
+
+
+def _on(item: Standing, plinth: AssetInfo, library: AssetLibrary) -> Raised:
+    """Join an object with the plinth below it to one convex piece."""
+    (base,) = resting_poses(plinth, library.mesh(plinth.id))
+    points = np.concatenate([np.asarray(base.hull.vertices), np.asarray(item.hull.vertices) + [0, 0, base.height]])
+    hull = Trimesh(points, process=False).convex_hull
+    joined = replace(item, hull=hull, lift=item.lift + base.height, footprint=base.footprint)
+    return Raised(joined, plinth)

@@ -1,0 +1,357 @@
+"""The Mitsuba room: its integrator against the built-in one, energy, removed objects, and compiled kernels."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from multilight.datagen.backends.machine.variants import choose_variant
+from multilight.datagen.backends.protocol import RenderJob, RenderSettings
+from multilight.lights.spec import EmissiveLight, EnvironmentLight, Light, LightRig, PointLight, SunLight
+from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.cameras.pinhole import camera_from_fov, look_at, matrix4
+from multilight.scenes.spec import Body, Material, Rectangle, SceneSpec, Sphere
+from tests.datagen.backends.calibration_scenes import LIGHTS, SURFACES, calibration_job
+from tests.datagen.backends.contract_scenes import RIG, job
+
+if choose_variant().variant == "scalar_rgb":
+    pytest.skip(f"no vectorized variant of Mitsuba here: {choose_variant().why}", allow_module_level=True)
+
+import drjit as dr
+import mitsuba as mi
+
+from multilight.datagen.backends.mitsuba import MitsubaBackend
+from multilight.datagen.backends.mitsuba.adaptive import first_blocks
+from multilight.datagen.backends.mitsuba.arrays import Textures, scene_arrays
+from multilight.datagen.backends.mitsuba.backend import _Batch
+from multilight.datagen.backends.mitsuba.bsdf import Tables
+from multilight.datagen.backends.mitsuba.cameras import Lens
+from multilight.datagen.backends.mitsuba.integrator import World, trace
+from multilight.datagen.backends.mitsuba.lights import emitters_of
+from multilight.datagen.backends.mitsuba.surfaces import Surfaces, build
+
+WHITE = (1.0, 1.0, 1.0)
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory):
+    return AssetLibrary(cache=tmp_path_factory.mktemp("cache"))
+
+
+@pytest.fixture(scope="module")
+def backend(library):
+    with MitsubaBackend(library) as opened:
+        yield opened
+
+
+# --- against Mitsuba's own path integrator ---
+
+
+@dataclass
+class Sequential:
+    """Mitsuba's own sampler behind our calls: the built-in integrator draws in the same order."""
+
+    sampler: mi.Sampler
+
+    def next_1d(self, dimension, vertex=0):
+        return self.sampler.next_1d()
+
+    def next_2d(self, dimension, vertex=0):
+        return self.sampler.next_2d()
+
+
+COLOURS = {"ground": (0.6, 0.5, 0.4), "block": (0.7, 0.2, 0.1), "bulb": (0.1, 0.2, 0.3)}
+SOLIDS: dict[str, tuple[tuple[float, float, float], float]] = {
+    "block": ((-0.2, 0, 0.2), 0.4),
+    "bulb": ((0.5, -0.2, 0.2), 0.2),
+}
+OWN_LIGHTS: tuple[Light, ...] = (
+    PointLight(name="point", position=(-1.0, -1.0, 1.5), intensity=(2.0, 1.0, 0.5)),
+    SunLight(name="sun", direction=(0.3, 0.4, -1.0), irradiance=(1.0, 0.9, 0.8), angle=0.0),
+    EnvironmentLight(name="sky", radiance=(0.3, 0.4, 0.5)),
+    EmissiveLight(name="glow", body="bulb", radiance=(3.0, 2.0, 1.0)),
+)
+
+
+def _block(centre, size):
+    """Six flat sides of a turned cube: corners and triangles.
+
+    No normal has a zero in it, whose sign would be for rounding to decide, and with it the frame.
+    """
+    turn = Rotation.from_euler("xyz", [0.3, 0.5, 0.7]).as_matrix()
+    corners, faces = [], []
+    for axis in range(3):
+        for side in (-1, 1):
+            u, v = (np.eye(3)[(axis + 1) % 3], np.eye(3)[(axis + 2) % 3])
+            n = side * np.eye(3)[axis]
+            u = u * side
+            start = len(corners)
+            corners += [centre + size / 2 * turn @ (n + a * u + b * v) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+            faces += [[start, start + 1, start + 2], [start, start + 2, start + 3]]
+    return np.array(corners, np.float32), np.array(faces, np.uint32)
+
+
+def _mesh(name, vertices, faces, **more):
+    mesh = mi.Mesh(name, len(vertices), len(faces), has_vertex_texcoords=True, props=_props(**more))
+    parameters = mi.traverse(mesh)
+    parameters["vertex_texcoords"] = mi.Float(_aligned_uv(vertices, faces).ravel())
+    parameters["vertex_positions"] = mi.Float(vertices.ravel())
+    parameters["faces"] = mi.UInt32(faces.ravel())
+    parameters.update()
+    return mesh
+
+
+def _aligned_uv(vertices, faces):
+    """Texture coordinates that run along the axes of `Frame3f`, from which the built-in integrator takes its own."""
+    uv = np.zeros((len(vertices), 2), np.float32)
+    for triangle in faces:
+        a, b, c = vertices[triangle]
+        n = np.cross(b - a, c - a)
+        frame = mi.Frame3f(mi.Normal3f(n / np.linalg.norm(n)))
+        uv[triangle] = vertices[triangle] @ np.concatenate([np.array(frame.s), np.array(frame.t)], axis=1)
+    return uv
+
+
+def _props(**objects):
+    props = mi.Properties()
+    for key, value in objects.items():
+        props[key] = mi.load_dict(value)
+    return props
+
+
+def _ours(lights: tuple[Light, ...], library) -> World:
+    """The ground and, in the places of two balls, two turned cubes, as our integrator takes them."""
+    rectangles = [
+        Body(name="ground", role="support", category="test", geometry=Rectangle(width=4.0, height=4.0),
+             materials=(Material(base_color=COLOURS["ground"], roughness=1.0, ior=1.0),),
+             world_from_body=matrix4(np.eye(4))),
+    ]  # fmt: skip
+    for name, (centre, size) in SOLIDS.items():
+        rectangles.append(
+            Body(name=name, role="object", category="test", geometry=Sphere(radius=size / 2),
+                 materials=(Material(base_color=COLOURS[name], roughness=1.0, ior=1.0),),
+                 world_from_body=matrix4(np.block([[np.eye(3), np.array(centre)[:, None]], [np.zeros(3), 1.0]])))
+        )  # fmt: skip
+    camera = camera_from_fov(look_at((0, -3, 1), (0, 0, 0)), width=16, height=16, fov=0.5)
+    scene = SceneSpec(kind="custom", index=0, bodies=tuple(rectangles), cameras=(camera,))
+    arrays = scene_arrays(scene, LightRig(lights=lights), library, Textures(library))
+    arrays = _with_blocks(arrays)
+    surfaces = Surfaces(arrays)
+    emitters = emitters_of(LightRig(lights=lights), arrays, surfaces, library)
+    whole = build(arrays, arrays.of_bodies(arrays.spans))
+    return World(whole, whole, None, surfaces, emitters, Tables(), mi.UInt32([0] * 4))
+
+
+def _with_blocks(arrays):
+    """Put flat cubes where the balls are: without smooth normals both renderers have the same frames."""
+    vertices = [arrays.vertices[:4]]
+    faces = [arrays.faces[:2]]
+    spans = {"ground": (0, 2)}
+    for row, (name, (centre, size)) in enumerate(SOLIDS.items(), start=1):
+        corners, triangles = _block(np.array(centre), size)
+        normals = np.repeat([[0, 0, 1.0]], len(corners), axis=0)
+        for triangle in triangles:
+            a, b, c = corners[triangle]
+            normals[triangle] = np.cross(b - a, c - a) / np.linalg.norm(np.cross(b - a, c - a))
+        start, first = sum(len(v) for v in vertices), sum(len(f) for f in faces)
+        vertices.append(np.concatenate([corners, normals, np.zeros((len(corners), 2))], axis=1).astype(np.float32))
+        faces.append(np.concatenate([triangles + start, np.full((len(triangles), 1), row)], axis=1).astype(np.uint32))
+        spans[name] = (first, len(triangles))
+    return replace(arrays, vertices=np.concatenate(vertices), faces=np.concatenate(faces), spans=spans)
+
+
+def _builtin(chosen: set[str]) -> mi.Scene:
+    def diffuse(name):
+        return {"type": "diffuse", "reflectance": {"type": "rgb", "value": list(COLOURS[name])}}
+
+    def rgb(*values):
+        return {"type": "rgb", "value": list(values)}
+
+    half = 2.0
+    ground = np.array([[-half, -half, 0], [half, -half, 0], [half, half, 0], [-half, half, 0]], np.float32)
+    solids = {name: _block(np.array(centre), size) for name, (centre, size) in SOLIDS.items()}
+    axes = mi.ScalarTransform4f(np.array([[0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]]))
+    bitmap = mi.Bitmap(np.broadcast_to(np.float32([0.3, 0.4, 0.5]), (9, 8, 3)).copy())
+    glow = {"emitter": {"type": "area", "radiance": rgb(3.0, 2.0, 1.0)}} if "glow" in chosen else {}
+    lights = {
+        "point": {"type": "point", "position": [-1.0, -1.0, 1.5], "intensity": rgb(2.0, 1.0, 0.5)},
+        "sun": {"type": "directional", "direction": [0.3, 0.4, -1.0], "irradiance": rgb(1.0, 0.9, 0.8)},
+        "sky": {"type": "envmap", "bitmap": bitmap, "to_world": axes},
+    }
+    return mi.load_dict({
+        "type": "scene",
+        **{name: light for name, light in lights.items() if name in chosen},
+        "ground": _mesh("ground", ground, np.array([[0, 1, 2], [0, 2, 3]], np.uint32), bsdf=diffuse("ground")),
+        "block": _mesh("block", *solids["block"], bsdf=diffuse("block")),
+        "bulb": _mesh("bulb", *solids["bulb"], bsdf=diffuse("bulb"), **glow),
+    })  # fmt: skip
+
+
+COUNT = 1 << 15
+PLUGINS = {"PointLight": "point", "DirectionalEmitter": "sun", "EnvironmentMapEmitter": "sky", "AreaLight": "glow"}
+
+
+def _rays() -> mi.Ray3f:
+    points = np.random.default_rng(0).random((2, COUNT)).astype(np.float32) * 0.6 - 0.3
+    d = dr.normalize(mi.Vector3f(mi.Float(points[0]), 1.0, mi.Float(points[1]) - 0.3))
+    return mi.Ray3f(mi.Point3f(0.2, -2.4, 1.0), d)
+
+
+def _sampler():
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(3, COUNT)
+    return sampler
+
+
+# Glowing bodies shine on both sides: points on the far side, within a ray's tolerance of an edge, count with us.
+@pytest.mark.parametrize(
+    ("chosen", "share"), [({"point", "sun", "sky"}, 1e-3), ({"point", "sun", "sky", "glow"}, 0.02)]
+)
+def test_layers_sum_to_the_builtin_path_integrator_path_by_path(library, chosen, share):
+    builtin = _builtin(chosen)
+    order = [PLUGINS[str(e).split("[")[0]] for e in builtin.emitters()]
+    lights = {light.name: light for light in OWN_LIGHTS}
+    world = _ours(tuple(lights[name] for name in order), library)
+    book = trace(world, _rays(), Sequential(_sampler()), max_bounces=5, one_light=True)
+    path = mi.load_dict({"type": "path", "max_depth": 7, "rr_depth": 3})
+    expected = np.array(path.sample(builtin, _sampler(), mi.RayDifferential3f(_rays()))[0])
+    total = np.array(sum(book.layers[1:], book.layers[0]))
+    assert expected.mean() > 0.1
+    off = np.abs(total - expected).max(axis=0) / expected.mean()
+    assert np.mean(off > 1e-4) < share
+    assert total.mean() == pytest.approx(expected.mean(), rel=3e-4)
+
+
+# --- each layer is the picture of its light alone ---
+
+
+def test_each_layer_is_the_render_of_its_light_alone(backend):
+    """A Z-test over 8 x 8 blocks, with the variance that eight independent renders of each show."""
+    names = ("environment", "sun", "bulb", "rectangle")
+    lights = tuple(LIGHTS[name] for name in names)
+    together = _repeated(backend, lights)
+    for number, light in enumerate(lights):
+        mine, alone = together[:, number], _repeated(backend, (light,))[:, 0]
+        deviation = np.sqrt((mine.var(axis=0, ddof=1) + alone.var(axis=0, ddof=1)) / len(alone))
+        z = (mine.mean(axis=0) - alone.mean(axis=0)) / (deviation + 3e-5 * alone.mean())
+        # Student's t with 7 to 14 degrees of freedom has a variance of 7 / 5 to 7 / 6.
+        assert np.mean(np.clip(z, -4, 4) ** 2) < 1.7, light.name
+        assert abs(np.mean(z)) < 0.3, light.name
+
+
+def _repeated(backend, lights):
+    """Render the plastic ball eight times with other random numbers, as blocks of 8 x 8 pixels."""
+    job = calibration_job(SURFACES["plastic"], lights, 16)
+    scenes = [job.scene.model_copy(update={"index": number}) for number in range(8)]
+    return np.array([_blocks(backend.render(replace(job, scene=scene)).radiance) for scene in scenes])
+
+
+def _blocks(picture):
+    *lead, height, width, _ = picture.shape
+    return picture.reshape(*lead, height // 8, 8, width // 8, 8, 3).mean(axis=(-4, -2)).astype(np.float64)
+
+
+# --- energy ---
+
+
+FURNACE = {
+    "diffuse": ({"roughness": 1.0, "ior": 1.0}, 0.005),
+    "metal": ({"roughness": 0.2, "metallic": 1.0}, 0.005),
+    "rough_metal": ({"roughness": 0.9, "metallic": 1.0}, 0.005),
+    "plastic": ({"roughness": 0.3}, 0.005),
+    "rough_plastic": ({"roughness": 0.9}, 0.005),
+    "coated": ({"roughness": 0.5, "coat": 1.0, "coat_roughness": 0.3}, 0.005),
+    "glass": ({"roughness": 0.0, "transmission": 1.0}, 0.01),
+    # Smooth normals on a polyhedron: what refracts to the wrong side of a triangle is lost (Cycles: 6 %).
+    "frosted": ({"roughness": 0.5, "transmission": 1.0}, 0.06),
+}
+
+
+@pytest.mark.parametrize("name", FURNACE)
+def test_furnace(backend, name):
+    """A white ball in uniform light of radiance 1 cannot be seen."""
+    fields, tolerance = FURNACE[name]
+    body = Body(name="ball", role="object", category="test", geometry=Sphere(radius=1.0),
+                materials=(Material(base_color=WHITE, **fields),), world_from_body=matrix4(np.eye(4)))  # fmt: skip
+    camera = camera_from_fov(look_at((0, -4, 0), (0, 0, 0)), width=32, height=32, fov=math.radians(20))
+    scene = SceneSpec(kind="custom", index=0, bodies=(body,), cameras=(camera,))
+    rig = LightRig(lights=(EnvironmentLight(name="sky"),))
+    stack = backend.render(RenderJob(scene, rig, RenderSettings(spp=64, max_bounces=32), 0))
+    assert stack.geometry.instance_id.all()
+    np.testing.assert_allclose(stack.radiance[0].mean(axis=(0, 1)), 1.0, atol=tolerance)
+
+
+# --- removed objects ---
+
+
+def test_removing_a_glowing_object_leaves_other_light_alone(backend):
+    """Unlike a renderer that chooses among the lights, ours gives far pixels exactly what they had."""
+    scene = job().scene
+    bodies = tuple(b.model_copy(update={"insertable": b.name == "bulb"}) for b in scene.bodies)
+    settings = RenderSettings(spp=16, max_bounces=1, threads=2)
+    everything, without = (
+        backend.render(RenderJob(scene.model_copy(update={"bodies": bodies}), RIG, settings, 0, variant))
+        for variant in ("all", "without_bulb")
+    )
+    glow = RIG.names.index("glow")
+    assert everything.radiance[glow].max() > 1
+    assert not without.radiance[glow].any()
+    far = np.arange(everything.radiance.shape[2]) < 12
+    others = [n for n in range(len(RIG.names)) if n != glow]
+    changed = (everything.radiance[others] != without.radiance[others]).any(axis=(0, 3))
+    # Only paths that ran into the bulb itself.
+    assert changed.mean() > 0
+    assert changed[:, far].mean() < 0.05
+
+
+def test_only_paths_that_met_a_glowing_object_are_traced_again(backend):
+    """That a body hides half of its own glow from a point is no reason to trace that point without it."""
+    scene = job().scene
+    bodies = tuple(b.model_copy(update={"insertable": b.name == "bulb"}) for b in scene.bodies)
+    scene = scene.model_copy(update={"bodies": bodies})
+    lights = tuple(light for light in RIG.lights if light.name == "glow")
+    settings = RenderSettings(spp=4, max_bounces=1, threads=2)
+    backend.render(RenderJob(scene, LightRig(lights=lights), settings, 0))
+    camera = scene.cameras[0]
+    batch = _Batch(backend._synced, Lens(camera), camera, settings, (0, first_blocks(camera.width * camera.height, 4)))
+    book = batch._trace(None, dr.arange(mi.UInt32, camera.width * camera.height * 4))
+    lit = np.array(book.first) > 0
+    assert 0 < np.mean(np.array(book.met)[lit] != 0) < 0.25
+
+
+def test_composite_with_one_lighting_is_the_target_at_edges(backend):
+    """Where no shadow, reflection or glow of the object falls, over the rim of the object too, there is no halo."""
+    lights = (EnvironmentLight(name="sky", radiance=(0.5, 1.0, 2.0)),)
+    body = Body(name="ball", role="object", category="test", geometry=Sphere(radius=0.8), insertable=True,
+                materials=(Material(base_color=(0.9, 0.1, 0.1)),), world_from_body=matrix4(np.eye(4)))  # fmt: skip
+    wall = Body(name="wall", role="support", category="test", geometry=Rectangle(width=1, height=1),
+                materials=(Material(),), world_from_body=matrix4(look_at((0, 60, 0), (0, 61, 0))))  # fmt: skip
+    camera = camera_from_fov(look_at((0, -4, 0), (0, 0, 0)), width=48, height=48, fov=math.radians(40))
+    scene = SceneSpec(kind="custom", index=0, bodies=(body, wall), cameras=(camera,))
+    made = {
+        variant: backend.render(RenderJob(scene, LightRig(lights=lights), RenderSettings(spp=32), 0, variant))
+        for variant in ("all", "without_ball", "foreground_ball")
+    }
+    coverage = made["foreground_ball"].coverage[..., None]
+    edge = (coverage[..., 0] > 0) & (coverage[..., 0] < 1)
+    assert edge.sum() > 50
+    composite = made["foreground_ball"].radiance[0] + (1 - coverage) * made["without_ball"].radiance[0]
+    np.testing.assert_allclose(composite[edge], made["all"].radiance[0][edge], rtol=2e-3, atol=2e-3)
+
+
+# --- compiled once ---
+
+
+def test_another_scene_with_the_same_kinds_of_light_compiles_nothing(backend):
+    first = calibration_job(SURFACES["plastic"], (LIGHTS["sun"], LIGHTS["bulb"]), 4)
+    backend.render(first)
+    moved = LIGHTS["bulb"].model_copy(update={"position": (0.3, -0.7, 1.1)})
+    other = calibration_job(SURFACES["textured"], (LIGHTS["sun"], moved), 4)
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
+        dr.kernel_history_clear()
+        backend.render(other)
+        kernels = dr.kernel_history((dr.KernelType.JIT,))
+    assert kernels
+    assert all(kernel["cache_hit"] for kernel in kernels)

@@ -1,0 +1,27 @@
+"""Records changed so that their hashes hold: what a maker with a fault, or someone hostile, would write."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from multilight.datagen.production.finishing import Survey, finish
+from multilight.datagen.storage.records import record_hash
+from multilight.datagen.storage.store import read_dataset, read_scene, scene_dir, scene_indices
+
+Json = dict[str, Any]
+
+
+def rewrite_json(path: Path, change: Callable[[Json], object]) -> None:
+    """Change a record and give it the hash that it has then."""
+    content = json.loads(path.read_text())
+    change(content)
+    path.write_text(json.dumps(content | {"record_sha256": record_hash(content)}))
+
+
+def chain(root: Path) -> None:
+    """Write index and `dataset.json` as the scenes' records are now."""
+    there = Survey()
+    for index in scene_indices(root):
+        there.add(read_scene(scene_dir(root, index)))
+    finish(root, read_dataset(root), there)

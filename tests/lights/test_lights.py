@@ -1,0 +1,556 @@
+"""Relighting, tone curves, radiometry and colour against published values and their own inverses."""
+
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from multilight.lights.display.tonemap import (
+    HIGHLIGHT_LIMIT,
+    LUMINANCE_WEIGHTS,
+    MIDDLE_GREY,
+    luminance,
+    meter_ev,
+    srgb_decode,
+    srgb_encode,
+    to_display,
+    tone_curve,
+)
+from multilight.lights.photometry import ies as profiles
+from multilight.lights.photometry import radiometry
+from multilight.lights.photometry.colour import (
+    GELS,
+    gel_rgb,
+    random_gel,
+    temperature_of,
+    temperature_to_rgb,
+    temperature_to_xy,
+)
+from multilight.lights.photometry.directions import gobo_coordinates, spot_frame
+from multilight.lights.relight import gain_matrix, mix
+from multilight.lights.spec import LightingCondition, PointLight
+from multilight.scenes.assets.builtin import skies as sky
+
+LIGHTS = ("key", "fill", "sky")
+gain = st.floats(0.0, 8.0, width=32)
+rgb = st.tuples(gain, gain, gain)
+positive = st.floats(1e-3, 1e4)
+
+
+def condition(gains: dict[str, tuple[float, float, float]], ev: float = 0.0) -> LightingCondition:
+    return LightingCondition(name="test", gains=gains, exposure_ev=ev)
+
+
+def layers(seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).gamma(0.5, 2.0, (3, 4, 5, 3)).astype(np.float32)
+
+
+# --- the one weighted sum ---
+
+
+def test_mix_matches_the_sum_written_out():
+    radiance = layers()
+    got = mix(radiance, LIGHTS, condition({"sky": (1, 2, 3), "key": (0.5, 0, 0.25)}, ev=1.5))
+    want = np.zeros(radiance.shape[1:])
+    for c in range(3):
+        want[..., c] = 2**1.5 * (radiance[2, ..., c] * (1, 2, 3)[c] + radiance[0, ..., c] * (0.5, 0, 0.25)[c])
+    assert got.dtype == np.float32
+    np.testing.assert_allclose(got, want, rtol=1e-6)
+
+
+@given(a=rgb, b=rgb, ev=st.floats(-4, 4))
+def test_mix_is_linear_in_the_gains(a, b, ev):
+    radiance = layers()
+    both = tuple(x + y for x, y in zip(a, b, strict=True))
+    summed = mix(radiance, LIGHTS, condition({"key": a}, ev)) + mix(radiance, LIGHTS, condition({"key": b}, ev))
+    np.testing.assert_allclose(mix(radiance, LIGHTS, condition({"key": both}, ev)), summed, rtol=1e-5, atol=1e-5)
+
+
+def test_one_ev_doubles_exactly():
+    radiance = layers()
+    once = mix(radiance, LIGHTS, condition({"fill": (1, 1, 1)}))
+    np.testing.assert_array_equal(mix(radiance, LIGHTS, condition({"fill": (1, 1, 1)}, ev=1)), 2 * once)
+    np.testing.assert_array_equal(once, radiance[1])
+
+
+def test_absent_light_is_off_and_not_read():
+    radiance = layers()
+    radiance[0] = np.nan
+    assert np.isfinite(mix(radiance, LIGHTS, condition({"fill": (1, 1, 1), "key": (0, 0, 0)}))).all()
+    np.testing.assert_array_equal(mix(radiance, LIGHTS, condition({})), 0)
+
+
+def test_mix_reads_half_floats_without_overflow():
+    radiance = np.full((1, 1, 1, 3), 40000, np.float16)
+    np.testing.assert_array_equal(mix(radiance, ["a"], condition({"a": (4, 4, 4)})), 160000)
+
+
+def test_unknown_light_is_named_with_the_known_ones():
+    with pytest.raises(ValueError, match=r"'lamp'.*'key', 'fill', 'sky'"):
+        gain_matrix(LIGHTS, condition({"lamp": (1, 1, 1)}))
+
+
+def test_mix_refuses_the_wrong_number_of_layers():
+    with pytest.raises(ValueError, match=r"\(3, 4, 5, 3\).*2 light"):
+        mix(layers(), ["a", "b"], condition({}))
+
+
+# --- transfer curve, metering, tone curve ---
+
+
+@pytest.mark.parametrize(
+    ("encoded", "linear"),
+    # IEC 61966-2-1, 8-bit codes to linear.
+    [(0, 0.0), (10, 0.0030352698), (11, 0.0033465358), (127, 0.2122307574), (188, 0.5028864580), (255, 1.0)],
+)
+def test_srgb_reference_values(encoded, linear):
+    assert srgb_decode(encoded / 255) == pytest.approx(linear, rel=1e-6)
+    assert srgb_encode(linear) == pytest.approx(encoded / 255, rel=1e-6)
+
+
+@given(st.floats(0, 1))
+def test_srgb_round_trip(x):
+    assert srgb_decode(srgb_encode(x)) == pytest.approx(x, abs=1e-7)
+
+
+def test_luminance_of_white_is_one_and_keeps_the_type():
+    assert luminance(np.ones(3)) == pytest.approx(1.0)
+    assert luminance(np.ones((2, 2, 3), np.float32)).dtype == np.float32
+
+
+@given(st.floats(1e-5, 1e5))
+def test_even_picture_meters_to_middle_grey(level):
+    picture = np.full((8, 8, 3), level)
+    assert level * 2 ** meter_ev(picture) == pytest.approx(MIDDLE_GREY, rel=1e-6)
+
+
+@given(level=st.floats(1e-3, 1e3), ev=st.floats(-8, 8))
+def test_metering_follows_exposure(level, ev):
+    picture = np.random.default_rng(1).gamma(1.0, level, (16, 16, 3)) + 1e-3 * level
+    assert meter_ev(picture * 2**ev) == pytest.approx(meter_ev(picture) - ev, abs=1e-6)
+
+
+def test_metering_is_robust():
+    picture = np.full((40, 40, 3), 0.5)
+    plain = meter_ev(picture)
+    lamp, corner, broken = picture.copy(), picture.copy(), picture.copy()
+    lamp[:4, :4] = 1e6
+    corner[:, :20] = 1e-9
+    broken[0, 0] = np.nan
+    broken[0, 1] = np.inf
+    for changed in (lamp, corner, broken):
+        assert meter_ev(changed) == pytest.approx(plain, abs=0.3)
+    assert meter_ev(np.zeros((4, 4, 3))) == 0.0
+    assert meter_ev(np.full((4, 4, 3), np.nan)) == 0.0
+
+
+def test_metering_holds_highlights_by_two_stops_at_most():
+    picture = np.full((40, 40, 3), 0.1)
+    picture[:4] = 1.2
+    exposed = picture * 2 ** meter_ev(picture)
+    assert luminance(exposed).max() == pytest.approx(HIGHLIGHT_LIMIT)
+    picture[:4] = 10.0
+    assert meter_ev(picture) > math.log2(MIDDLE_GREY / 0.1) - 2.7
+
+
+def test_metering_reads_the_mask_only():
+    picture = np.full((8, 8, 3), 5.0)
+    picture[:4] = 0.02
+    mask = np.zeros((8, 8), bool)
+    mask[:4] = True
+    assert meter_ev(picture, mask) == pytest.approx(math.log2(MIDDLE_GREY / 0.02))
+
+
+@pytest.mark.parametrize(
+    ("colour", "expected"),
+    # Worked by hand from the formula.
+    [
+        ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+        ((0.01, 0.5, 0.6), (0.01, 0.5, 0.6)),
+        # p = 2, p_n = 1 - 0.16 / 1.8 on every channel: grey stays grey
+        ((2.0, 2.0, 2.0), (0.911111, 0.911111, 0.911111)),
+        # p = 1, p_n = 0.8, kept = 1 / (0.15 * 0.2 + 1)
+        ((1.0, 0.0, 0.0), (0.8, 0.8 - 0.8 / 1.03, 0.8 - 0.8 / 1.03)),
+    ],
+)
+def test_tone_curve_reference_values(colour, expected):
+    np.testing.assert_allclose(tone_curve(np.array(colour)), expected, atol=2e-6)
+
+
+@given(colour=hnp.arrays(np.float64, 3, elements=st.floats(0, 1e4)), factor=st.floats(1.0, 4.0))
+def test_tone_curve_stays_in_range_grows_and_keeps_the_order_of_channels(colour, factor):
+    low, high = tone_curve(colour), tone_curve(colour * factor)
+    assert low.min() >= 0
+    assert high.max() <= 1 + 1e-6
+    assert high.max() >= low.max() - 1e-5
+    assert (np.diff(low[np.argsort(colour)]) >= -1e-5).all()
+
+
+def test_saturated_highlight_fades_to_white_in_its_own_hue():
+    blue = to_display(np.array([[0.02, 0.1, 1.0]]) * 2.0 ** np.arange(12)[:, None])
+    assert (blue[:, 2] >= blue[:, 1]).all()
+    assert (blue[:, 1] >= blue[:, 0]).all()
+    assert blue[-1].min() > 230
+
+
+def test_display_of_broken_values():
+    picture = np.array([[np.nan] * 3, [np.inf] * 3, [-np.inf] * 3, [-1.0] * 3, [3e38] * 3])
+    np.testing.assert_array_equal(to_display(picture, 20.0)[:, 0], [0, 255, 0, 0, 255])
+
+
+# --- radiometry ---
+
+
+def test_inverse_square_law():
+    assert radiometry.irradiance_from_intensity(8.0, 2.0) == 2.0
+    assert radiometry.irradiance_from_intensity(8.0, 4.0, cosine=0.5) == 0.25
+    assert radiometry.irradiance_from_intensity(8.0, 4.0, cosine=-0.5) == 0.0
+
+
+def test_reference_conversions():
+    # An isotropic lamp of 4 pi lm gives 1 cd, and 1 cd gives 1 lux at 1 m.
+    intensity = radiometry.watts_from_photometric(4 * math.pi) / (4 * math.pi)
+    assert radiometry.photometric_from_watts(intensity) == pytest.approx(1.0)
+    assert radiometry.watts_from_photometric(179.0) == 1.0
+    # A Lambertian square metre of radiance 1 emits pi watts.
+    assert radiometry.area_flux_from_radiance(1.0, 1.0) == pytest.approx(math.pi)
+    # A hemisphere is half a sphere, and a whole one a point.
+    assert radiometry.spot_intensity_from_flux(1.0, math.pi / 2) == pytest.approx(1 / (2 * math.pi))
+    assert radiometry.spot_intensity_from_flux(1.0, math.pi) == pytest.approx(radiometry.point_intensity_from_flux(1.0))
+
+
+@given(positive)
+def test_conversions_invert(x):
+    assert radiometry.photometric_from_watts(radiometry.watts_from_photometric(x)) == pytest.approx(x)
+    assert radiometry.point_flux_from_intensity(radiometry.point_intensity_from_flux(x)) == pytest.approx(x)
+    assert radiometry.area_flux_from_radiance(radiometry.area_radiance_from_flux(x, 0.3), 0.3) == pytest.approx(x)
+    assert radiometry.irradiance_from_intensity(radiometry.intensity_for_irradiance(x, 1.7), 1.7) == pytest.approx(x)
+
+
+@given(value=positive, colour=st.tuples(*[st.floats(0.01, 5.0)] * 3))
+def test_coloured_quantity_has_the_asked_luminance(value, colour):
+    scaled = radiometry.rgb_from_scalar(value, colour)
+    assert float(luminance(np.array(scaled))) == pytest.approx(value)
+    assert scaled[0] / scaled[2] == pytest.approx(colour[0] / colour[2])
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: radiometry.point_intensity_from_flux(-1.0), "flux -1.0"),
+        (lambda: radiometry.point_intensity_from_flux(math.nan), "flux nan"),
+        (lambda: radiometry.area_radiance_from_flux(1.0, 0.0), "area 0.0"),
+        (lambda: radiometry.irradiance_from_intensity(1.0, 0.0), "distance 0.0"),
+        (lambda: radiometry.spot_intensity_from_flux(1.0, 4.0), "half angle 4.0"),
+        (lambda: radiometry.rgb_from_scalar(1.0, (0.0, 0.0, 0.0)), "one above 0"),
+    ],
+)
+def test_impossible_quantities_are_named(call, words):
+    with pytest.raises(ValueError, match=words):
+        call()
+
+
+# --- colour ---
+
+
+@pytest.mark.parametrize(
+    ("kelvin", "xy", "tolerance"),
+    [
+        # CIE standard illuminant A is a blackbody at 2855.54 K under the present c2.
+        (2855.54, (0.44757, 0.40745), 5e-5),
+        (2000.0, (0.5267, 0.4133), 2e-4),  # Wyszecki and Stiles, 1982, table 1(3.3.4)
+        # D50, D65, D75 under the present c2: 5003, 6504 and 7504 K (CIE 015:2018).
+        (5003.0, (0.34567, 0.35850), 2e-4),
+        (6504.0, (0.31272, 0.32903), 2e-4),
+        (7504.0, (0.29902, 0.31485), 2e-4),
+    ],
+)
+def test_chromaticity_reference_values(kelvin, xy, tolerance):
+    assert temperature_to_xy(kelvin) == pytest.approx(xy, abs=tolerance)
+
+
+def test_daylight_at_6504_kelvin_is_white():
+    assert temperature_to_rgb(6504) == pytest.approx((1, 1, 1), abs=2e-3)
+
+
+@given(st.floats(1000, 25000))
+def test_temperature_colours_have_unit_luminance_and_no_negative_channel(kelvin):
+    colour = temperature_to_rgb(kelvin)
+    assert min(colour) >= 0
+    assert np.dot(LUMINANCE_WEIGHTS, colour) == pytest.approx(1.0)
+
+
+def test_hotter_is_bluer_without_a_jump():
+    kelvins = np.geomspace(1000, 25000, 400)
+    xy = np.array([temperature_to_xy(k) for k in kelvins])
+    colours = np.array([temperature_to_rgb(k) for k in kelvins])
+    assert (np.diff(xy[:, 0]) < 0).all()
+    assert (np.diff(colours[:, 0]) < 1e-6).all()
+    assert (np.diff(colours[:, 2]) >= 0).all()
+    assert np.abs(np.diff(xy, axis=0)).max() < 0.006
+
+
+@pytest.mark.parametrize("kelvin", [999.0, 25001.0, math.nan, -5.0])
+def test_temperature_outside_the_range_is_refused(kelvin):
+    with pytest.raises(ValueError, match=r"outside 1000\.\.25000 K"):
+        temperature_to_rgb(kelvin)
+
+
+def test_gels_are_saturated_and_of_unit_luminance():
+    assert len(GELS) >= 12
+    colours = {name: np.array(gel_rgb(name)) for name in GELS}
+    for colour in colours.values():
+        assert luminance(colour) == pytest.approx(1.0)
+        assert colour.min() > 0
+    strong = [name for name, colour in colours.items() if colour.max() > 3 * colour.min()]
+    assert len(strong) >= 12
+    assert colours["primary_red"].argmax() == 0
+    assert colours["primary_green"].argmax() == 1
+    assert colours["deep_blue"].argmax() == 2
+
+
+def test_random_gel_follows_its_generator():
+    drawn = [random_gel(np.random.default_rng(seed)) for seed in range(60)]
+    assert drawn == [random_gel(np.random.default_rng(seed)) for seed in range(60)]
+    assert len(set(drawn)) > 8
+    with pytest.raises(ValueError, match=r"no gel 'puce'.*magenta"):
+        gel_rgb("puce")
+
+
+def test_importing_lights_leaves_colour_science_alone():
+    code = (
+        "import sys, multilight.lights.photometry.colour, multilight.lights.photometry.radiometry\n"
+        "import multilight.lights.relight; sys.exit('colour' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+# --- what lamps are sold by ---
+
+
+def test_named_quantities_keep_their_photometric_value():
+    warm = temperature_to_rgb(2700)
+
+    def photometric(quantity):
+        return 179.0 * float(luminance(np.array(quantity)))
+
+    assert photometric(radiometry.intensity_from_candela(120.0, warm)) == pytest.approx(120.0)
+    assert photometric(radiometry.intensity_from_lumens(800.0, warm)) == pytest.approx(800 / (4 * math.pi))
+    assert photometric(radiometry.irradiance_from_lux(1e5, warm)) == pytest.approx(1e5)
+    assert photometric(radiometry.radiance_from_nits(300.0, warm)) == pytest.approx(300.0)
+    # 1000 lm from 0.25 m²: exitance 4000 lm/m², luminance 4000 / pi.
+    assert photometric(radiometry.area_radiance_from_lumens(1000.0, 0.25, warm)) == pytest.approx(4000 / math.pi)
+    with pytest.raises(ValueError, match="solid angle 0"):
+        radiometry.intensity_from_lumens(800.0, warm, 0.0)
+
+
+@given(half=st.floats(0.1, 1.4), blend=st.floats(0.0, 1.0))
+def test_spot_solid_angle_is_the_integral_over_the_cone(half, blend):
+    cosine = (np.arange(200_000) + 0.5) / 200_000 * (1 - math.cos(half)) + math.cos(half)
+    t = np.clip((cosine - math.cos(half)) / max((1 - math.cos(half)) * blend, 1e-12), 0, 1)
+    integral = 2 * math.pi * (1 - math.cos(half)) * float((t * t * (3 - 2 * t)).mean())
+    assert radiometry.spot_solid_angle(half, blend) == pytest.approx(integral, rel=1e-3)
+
+
+# --- luminaires ---
+
+IES = """IESNA:LM-63-1995
+[TEST] a made-up lamp
+TILT=NONE
+1 1000 2.0 4 3 1 2 0 0 0
+0.5 1.0 20
+0 30 60, 90
+0 90 180
+100 80 20 0
+100 60 20 0
+100 40 20 0
+"""
+
+
+def test_ies_is_averaged_scaled_and_resampled():
+    lamp = profiles.parse_ies(IES)
+    # Multiplier 2 times ballast factor 0.5; the mean over 0..180 by trapezoids is 60 at 30 degrees.
+    assert lamp.candela == pytest.approx(100.0)
+    assert len(lamp.profile) == profiles.SAMPLES
+    assert lamp.profile[30] == pytest.approx(0.6)
+    assert lamp.profile[15] == pytest.approx(0.8)
+    assert lamp.profile[75] == pytest.approx(0.1)
+    assert not any(lamp.profile[90:])
+    angle = np.linspace(0, math.pi, 100_001)
+    curve = np.interp(angle, np.linspace(0, math.pi, len(lamp.profile)), lamp.profile)
+    expected = 2 * math.pi * float((curve * np.sin(angle)).mean() * math.pi) * 100
+    assert lamp.lumens == pytest.approx(expected, rel=1e-4)
+
+
+def test_flux_of_an_even_profile_is_a_sphere():
+    assert profiles.profile_flux((1.0,) * 7) == pytest.approx(4 * math.pi)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("TILT=NONE", "", "no line TILT="),
+        ("TILT=NONE", "TILT=INCLUDE", "TILT=INCLUDE: only TILT=NONE"),
+        ("1 1000 2.0 4 3 1", "1 1000 2.0 4 3 2", "photometric type 2"),
+        ("100 40 20 0\n", "", "15 angles and candelas, 19 are needed"),
+        ("100 80", "100 eighty", "eighty"),
+        ("100 80", "100 nan", "not finite"),
+        ("100 80", "100 -80", "lowest -80"),
+        ("0 30 60, 90", "0 60 30, 90", "vertical angles must ascend"),
+        ("1 1000 2.0 4 3 1", "1 1000 2.0 1 3 1", "1 vertical"),
+        ("1 1000 2.0", "1 1000 0.0", "not all 0"),
+    ],
+)
+def test_broken_ies_is_named(old, new, words):
+    assert old in IES
+    with pytest.raises(profiles.IesError, match=f"lamp.ies: .*{words}"):
+        profiles.parse_ies(IES.replace(old, new, 1), source="lamp.ies")
+
+
+def test_ies_file_errors_name_the_file(tmp_path):
+    path = tmp_path / "lamp.ies"
+    path.write_text("hello")
+    with pytest.raises(profiles.IesError, match=r"lamp\.ies: no line TILT="):
+        profiles.read_ies(path)
+    path.write_text(IES)
+    assert profiles.read_ies(path) == profiles.parse_ies(IES)
+
+
+@pytest.mark.parametrize("name", profiles.LUMINAIRES)
+def test_built_in_luminaires_keep_their_flux(name):
+    lamp = profiles.luminaire(name)
+    assert lamp.lumens == pytest.approx(profiles.LUMINAIRES[name][0], rel=0.02)
+    assert max(lamp.profile) == 1.0
+    assert min(lamp.profile) >= 0.0
+    below = profiles.profile_flux((*lamp.profile[:91], *[0.0] * 90)) * lamp.candela / lamp.lumens
+    assert (below < 0.1) == (name == "uplight")
+    assert PointLight(name="a", position=(0, 0, 1), intensity=(1, 1, 1), profile=lamp.profile).profile == lamp.profile
+
+
+def test_beams_are_as_wide_as_they_are_called():
+    def full_width(name):
+        return 2 * int(np.argmax(np.array(profiles.luminaire(name).profile) < 0.5))
+
+    assert full_width("downlight_narrow") == pytest.approx(15, abs=2)
+    assert full_width("downlight_medium") == pytest.approx(36, abs=3)
+    assert full_width("downlight_wide") == pytest.approx(70, abs=6)
+    assert np.argmax(profiles.luminaire("batwing").profile) in range(36, 48)
+    with pytest.raises(ValueError, match=r"no luminaire 'torch'.*batwing"):
+        profiles.luminaire("torch")
+
+
+# --- frames ---
+
+
+@given(
+    direction=st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda d: math.hypot(*d) > 1e-3),
+    roll=st.floats(-7, 7),
+)
+def test_spot_frame_is_a_rotation_that_looks_along_its_direction(direction, roll):
+    frame = spot_frame(direction, roll)
+    np.testing.assert_allclose(frame.T @ frame, np.eye(3), atol=1e-9)
+    assert np.linalg.det(frame) == pytest.approx(1.0)
+    np.testing.assert_allclose(-frame[:, 2], np.array(direction) / math.hypot(*direction), atol=1e-9)
+    if math.hypot(direction[0], direction[1]) > 1e-2:
+        unrolled = spot_frame(direction)
+        assert unrolled[2, 0] == pytest.approx(0.0, abs=1e-9), "right is level"
+        assert unrolled[2, 1] > 0, "up is up"
+        np.testing.assert_allclose(frame[:, 0], math.cos(roll) * unrolled[:, 0] + math.sin(roll) * unrolled[:, 1])
+
+
+def test_spot_frame_of_plain_directions():
+    north = spot_frame((0, 2, 0))
+    np.testing.assert_allclose(north, np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]), atol=1e-12)
+    down = spot_frame((0, 0, -1))
+    np.testing.assert_allclose(down, np.eye(3), atol=1e-12)
+    # Seen along +Y: a point to the right and above, on the cone's edge each way, is the image's corner.
+    corner = np.array([math.tan(0.3), 1.0, math.tan(0.3)])
+    np.testing.assert_allclose(gobo_coordinates(north, 0.3, corner), (1, 1))
+    np.testing.assert_allclose(gobo_coordinates(north, 0.3, np.array([0.0, 5.0, 0.0])), (0.5, 0.5))
+    with pytest.raises(ValueError, match="no length"):
+        spot_frame((0, 0, 0))
+
+
+# --- colour temperatures read back ---
+
+
+@pytest.mark.parametrize("kelvin", [1900, 2856, 4000, 5003, 6504, 12000])
+def test_temperature_is_read_back(kelvin):
+    found, saturation = temperature_of(tuple(7 * c for c in temperature_to_rgb(kelvin)))
+    assert found == pytest.approx(kelvin, rel=2e-3)
+    assert saturation < 1e-3
+
+
+def test_gels_are_more_saturated_than_whites():
+    strong = ("primary_red", "primary_green", "deep_blue", "magenta", "purple")
+    assert min(temperature_of(gel_rgb(name))[1] for name in strong) > 0.08
+    pale, full = temperature_of(gel_rgb("magenta", 0.2))[1], temperature_of(gel_rgb("magenta"))[1]
+    assert pale < full
+
+
+# --- sky and sun ---
+
+
+def test_preetham_zenith_worked_by_hand():
+    # T = 3, sun 30 degrees from the zenith: chi = (4/9 - 1/40) (pi - pi/3) = 0.878483, tan 1.205933.
+    assert sky.zenith_luminance(math.pi / 6, 3.0) == pytest.approx(7.1649 * 1.205933 + 1.7727, rel=1e-5)
+    # At the zenith the Perez ratio is one: the formula's own luminance comes out.
+    up = sky.clear_sky(np.array([0.0, 0.0, 1.0]), elevation=math.pi / 3, turbidity=3.0)
+    assert luminance(up) == pytest.approx(sky.zenith_luminance(math.pi / 6, 3.0), rel=1e-3)
+    assert up[2] > up[0], "a clear zenith is blue"
+
+
+@pytest.mark.parametrize("degrees", [10, 25, 40, 60])
+def test_sun_agrees_with_the_ies_clear_sky(degrees):
+    # IES Lighting Handbook: 127.5 exp(-0.21 m) klx on a surface that faces the sun, clear sky, m = 1 / sin(altitude).
+    height = math.radians(degrees)
+    expected = 127.5 * math.exp(-0.21 / math.sin(height))
+    assert luminance(np.array(sky.sun_illuminance(elevation=height, turbidity=2.0))) == pytest.approx(
+        expected, rel=0.12
+    )
+
+
+def test_rayleigh_depth_is_the_published_one():
+    # A. Bucholtz, Rayleigh-scattering calculations for the terrestrial atmosphere, 1995: 0.0973 at 550 nm; the
+    # matching functions' fit peaks near 555 nm and gives unit luminance there.
+    assert abs(0.008735 * 0.55**-4.08 / 0.0973 - 1) < 0.04
+    nm = np.arange(380.0, 781.0)
+    matching = sky.colour_matching(nm)
+    assert nm[matching[:, 1].argmax()] == pytest.approx(555, abs=4)
+    # Equal-energy light has x = y = 1/3.
+    np.testing.assert_allclose(matching.sum(axis=0) / matching.sum(), 1 / 3, atol=2e-3)
+
+
+@pytest.mark.parametrize(("name", "low", "high"), [("sky-60-2", 13, 17), ("sky-25-3", 9, 14), ("sky-overcast", 11, 14)])
+def test_skies_have_the_illuminance_of_the_day(name, low, high):
+    image = sky.sky_map(name)
+    assert image.shape == (sky.ROWS, 2 * sky.ROWS, 3)
+    assert image.min() >= 0
+    latitude = math.pi / 2 - math.pi * (np.arange(sky.ROWS) + 0.5) / sky.ROWS
+    weight = np.maximum(np.sin(latitude), 0) * np.cos(latitude) * (math.pi / sky.ROWS) ** 2
+    assert low < float((luminance(image.astype(float)) * weight[:, None]).sum()) < high
+    half = sky.ROWS // 2
+    if name != sky.OVERCAST:
+        row = luminance(image)[: half - 8]
+        assert abs(int(row.max(axis=0).argmax()) - sky.ROWS) <= 2, "the sun stands in the centre column"
+    assert luminance(image)[half + 20 :].std() < 1e-3, "the ground is even"
+
+
+def test_low_suns_are_red_and_weak():
+    suns = [np.array(sky.sun_illuminance(elevation=math.radians(e), turbidity=3.0)) for e in (3, 8, 25, 60)]
+    assert (np.diff([luminance(sun) for sun in suns]) > 0).all()
+    assert (np.diff([sun[2] / sun[0] for sun in suns]) > 0).all()
+    assert 85 < luminance(suns[-1]) < 105
+
+
+def test_sky_names():
+    assert sky.sky_parameters("sky-25-3") == (pytest.approx(math.radians(25)), 3.0)
+    assert sky.sky_name(math.radians(22), 3.4) == "sky-25-3"
+    assert {sky.sky_name(math.radians(e), t) for e in range(1, 90) for t in (2, 3, 6)} == set(sky.SKIES) - {
+        sky.OVERCAST
+    }

@@ -1,0 +1,289 @@
+"""Training data: lighting made on the fly, the same for any number of workers, and true to the stored layers."""
+
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import fsspec
+import numpy as np
+import pytest
+import torch
+from torch.utils.data import DataLoader, DistributedSampler
+
+from multilight.datagen.errors import UserError
+from multilight.datagen.storage.pack import pack_dataset
+from multilight.datagen.storage.source import open_dataset
+from multilight.datagen.tuples import compose
+from multilight.lights.display.tonemap import luminance, srgb_encode, tone_curve
+from multilight.model.data import MultiLightDataset, MultiLightStream, SampleSettings
+from multilight.model.data.augment import draw_camera, respond
+from multilight.model.data.lighting import draw_gains, tints
+from multilight.model.data.plan import generator
+from multilight.scenes.spec import Sphere
+from tests import ROOT
+
+SMALL = {"split": None, "visible": 5.0, "size": 32}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+@pytest.fixture(scope="module")
+def packed(spheres_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("packed") / "copy"
+    pack_dataset(str(spheres_dataset), out, workers=1, report=lambda done, total: None)
+    return out
+
+
+def opened(root: Path | str, **settings: Any) -> MultiLightDataset:
+    return MultiLightDataset(root, SampleSettings(**(SMALL | settings)))
+
+
+def same(one: dict[str, Any], other: dict[str, Any]) -> bool:
+    return one["meta"] == other["meta"] and all(torch.equal(one[k], other[k]) for k in one if k != "meta")
+
+
+@pytest.mark.parametrize("views", [1, 3])
+def test_shapes_and_ranges(packed: Path, views: int) -> None:
+    group = () if views == 1 else (views,)
+    for sample in DataLoader(opened(packed, views=views, length=20), batch_size=None):
+        for name, shape in {
+            "composite": (3, 32, 32), "background": (3, 32, 32), "target": (3, 32, 32), "effect": (3, 32, 32),
+            "depth": (1, 32, 32), "z_depth": (1, 32, 32), "mask": (1, 32, 32), "K": (3, 3), "c2w": (4, 4),
+        }.items():  # fmt: skip
+            assert sample[name].shape == (*group, *shape)
+            assert sample[name].dtype == torch.float32
+            assert torch.isfinite(sample[name]).all()
+        for name in ("composite", "background", "target", "depth", "mask"):
+            assert 0.0 <= sample[name].min() <= sample[name].max() <= 1.0
+        assert torch.equal(sample["effect"], sample["target"] - sample["background"])
+        assert sample["depth"].max() == 1.0
+        outside = sample["mask"].expand_as(sample["target"]) == 0
+        assert torch.equal(sample["composite"][outside], sample["background"][outside])
+        meta = sample["meta"]
+        assert {type(meta[k]) for k in ("scene", "view", "emissive")} == {int}
+        assert {type(meta[k]) for k in ("object", "kind")} == {str}
+
+
+def test_tuples_are_those_of_compose(spheres_dataset: Path, packed: Path) -> None:
+    """Stored lighting, nothing augmented: `datagen.tuples.compose` and the tone curve, in float64, about the centre."""
+    data = opened(packed, size=48, lighting="stored", augment=False, length=40)
+    source = open_dataset(spheres_dataset)
+    for index in range(len(data)):
+        sample, draw = data[index], data.plan.draw(0, index)
+        record, name = source.scene(draw.place.scene), draw.place.object
+        view = source.view(record, draw.views[0])
+        assert draw.conditions is not None
+        insert, base = (record.conditions[number] for number in draw.conditions)
+        wanted = {
+            "target": compose.target(view, base),
+            "background": compose.background(view, name, base),
+            "composite": compose.composite(view, name, insert=insert, base=base),
+        }
+        for what, linear in wanted.items():
+            shown = srgb_encode(tone_curve(linear))[:, 8:56].transpose(2, 0, 1)
+            np.testing.assert_allclose(sample[what].numpy(), shown, atol=5e-5, err_msg=what)
+        np.testing.assert_array_equal(sample["mask"][0], view.coverage[name][:, 8:56])
+        np.testing.assert_array_equal(sample["z_depth"][0], view.geometry.z_depth[:, 8:56])
+        camera = record.views[draw.views[0]]
+        np.testing.assert_allclose(sample["K"], np.array(camera.K) - [[0, 0, 8], [0, 0, 0], [0, 0, 0]], rtol=1e-6)
+
+
+def test_a_sample_depends_on_seed_epoch_and_index_only(packed: Path) -> None:
+    data, again = opened(packed, views=2, length=30), opened(packed, views=2, length=60)
+    assert all(same(data[i], again[i]) for i in reversed(range(8)))
+    first = data[3]
+    data.set_epoch(1)
+    assert not torch.equal(data[3]["target"], first["target"])
+    data.set_epoch(0)
+    assert same(data[3], first)
+    assert not torch.equal(opened(packed, views=2, seed=1)[3]["target"], first["target"])
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_workers_change_nothing_and_learn_of_epochs(packed: Path, workers: int) -> None:
+    data = opened(packed, length=6)
+    loader = DataLoader(
+        data, batch_size=None, num_workers=workers, persistent_workers=True, multiprocessing_context="spawn"
+    )
+    for epoch in (0, 1):
+        data.set_epoch(epoch)
+        loaded = list(loader)
+        assert len(loaded) == 6
+        assert all(same(sample, data[i]) for i, sample in enumerate(loaded))
+
+
+def test_distributed_sampler_shares_out(packed: Path) -> None:
+    data = opened(packed, length=20)
+    seen = [list(DistributedSampler(data, num_replicas=2, rank=rank)) for rank in (0, 1)]
+    assert sorted(seen[0] + seen[1]) == list(range(20))
+    batch = next(iter(DataLoader(data, batch_size=4, sampler=DistributedSampler(data, num_replicas=2, rank=1))))
+    assert batch["target"].shape == (4, 3, 32, 32)
+    assert batch["meta"]["scene"].shape == (4,)
+    assert torch.equal(batch["target"][0], data[seen[1][0]]["target"])
+
+
+def test_no_stored_tuple_comes_twice(packed: Path) -> None:
+    places, pairs = len(opened(packed).plan.places), 12 * 12
+    data = opened(packed, lighting="stored", length=places * pairs)
+    draws = [data.plan.draw(2, index) for index in range(len(data))]
+    assert len({(d.place, d.views, d.conditions) for d in draws}) == len(data)
+    assert [len({d.place for d in draws[i : i + places]}) for i in range(0, len(data), places)] == [places] * pairs
+    with pytest.raises(UserError, match=f"{places * pairs} different tuples"):
+        opened(packed, lighting="stored", length=places * pairs + 1)
+    assert len(opened(packed, lighting="stored", length=places * pairs + 1, repeat=True)) == places * pairs + 1
+
+
+def test_no_drawn_tuple_comes_twice(packed: Path) -> None:
+    data = opened(packed, augment=False, length=150)
+    shown = {(s["target"].numpy().tobytes(), s["composite"].numpy().tobytes()) for s in (data[i] for i in range(150))}
+    assert len(shown) == 150
+
+
+def test_hardly_visible_objects_are_passed_over(spheres_dataset: Path, packed: Path) -> None:
+    source, least = open_dataset(spheres_dataset), 40.0
+    wanted = {
+        (record.index, number, name)
+        for record in source.scenes()
+        for number in range(len(record.views))
+        for name, alpha in source.view(record, number).coverage.items()
+        if alpha.sum(dtype=np.float64) >= least
+    }
+    for root in (spheres_dataset, packed):
+        assert {(p.scene, p.seen[0], p.object) for p in opened(root, visible=least).plan.places} == wanted
+    assert 0 < len(wanted) < 18
+    with pytest.raises(UserError, match="on 4000 pixels"):
+        opened(packed, visible=4000.0)
+
+
+def test_filters_choose_the_scenes(packed: Path) -> None:
+    assert {p.scene for p in opened(packed, where="index = 1").plan.places} == {1}
+    assert {p.scene for p in opened(packed, split="train").plan.places} == {0, 1}
+    with pytest.raises(UserError, match="colour"):
+        opened(packed, where="colour = 'red'")
+    with pytest.raises(UserError, match="no scene"):
+        opened(packed, where="index > 7 OR index < 0")
+    with pytest.raises(UserError, match="views 0"):
+        SampleSettings(views=0)
+
+
+def test_cropped_and_mirrored_views_show_the_scene_in_its_place(spheres_dataset: Path, packed: Path) -> None:
+    """Depth, lifted to the world by K and c2w, lies on the scene's spheres and floor, or on their mirror image."""
+    data, source, facing = opened(packed, views=2, size=48, length=16), open_dataset(spheres_dataset), set()
+    for index in range(16):
+        sample = data[index]
+        record = source.scene(sample["meta"]["scene"])
+        mirrored = bool(np.isclose(sample["c2w"][0, 0, 3], -record.views[sample["meta"]["view"]].c2w[0][3], atol=1e-5))
+        facing.add(mirrored)
+        for number in (0, 1):
+            view = {name: sample[name][number].double().numpy() for name in ("K", "c2w", "z_depth")}
+            np.testing.assert_allclose(np.linalg.det(view["c2w"][:3, :3]), 1.0, rtol=1e-5)
+            points = _points(view) * np.array([[-1.0 if mirrored else 1.0], [1.0], [1.0]])
+            gaps = [np.abs(points[2])]
+            for body in record.scene.bodies:
+                if isinstance(body.geometry, Sphere):
+                    centre = np.array(body.world_from_body)[:3, 3:]
+                    gaps.append(np.abs(np.linalg.norm(points - centre, axis=0) - body.geometry.radius))
+            # Depth is that of the nearest stored pixel: outlines and slanted floors are a little off.
+            assert np.mean(np.min(gaps, axis=0) < 0.03) > 0.95
+    assert facing == {True, False}
+
+
+def _points(view: dict[str, np.ndarray]) -> np.ndarray:
+    """Lift every pixel's centre by its z_depth to the world, (3, N); OpenGL axes."""
+    v, u = np.mgrid[:48, :48] + 0.5
+    rays = np.linalg.inv(view["K"]) @ np.stack([u.ravel(), v.ravel(), np.ones(48 * 48)])
+    depth = view["z_depth"].ravel()
+    points = rays[:, depth > 0] * depth[depth > 0] * np.array([[1.0], [-1.0], [-1.0]])
+    return view["c2w"][:3, :3] @ points + view["c2w"][:3, 3:]
+
+
+def test_exposures_are_sane(packed: Path) -> None:
+    data = opened(packed, augment=False, length=80)
+    medians = [float(np.median(luminance(data[i]["target"].permute(1, 2, 0).numpy()))) for i in range(80)]
+    assert min(medians) > 0.1
+    assert max(medians) < 0.95
+    assert np.std(medians) > 0.05
+
+
+def test_drawn_gains_and_tints() -> None:
+    for table in tints():
+        np.testing.assert_allclose(luminance(table), 1.0, atol=2e-3)
+    drawn = [draw_gains(generator(i), 5) for i in range(400)]
+    lit = np.array([(gains > 0).any(axis=1).sum() for gains in drawn])
+    assert lit.min() == 1
+    assert np.mean(lit == 1) == pytest.approx(0.2, abs=0.08)
+    levels = np.concatenate([luminance(g[g.any(axis=1)]) for g in drawn])
+    assert 1 / 3.1 < levels.min() < levels.max() < 3.1
+    assert np.mean(np.log(levels)) == pytest.approx(0.0, abs=0.1)
+
+
+def test_cameras_respond_monotonously() -> None:
+    ramp = torch.linspace(0, 1, 257).expand(3, 1, 257)
+    for number in range(50):
+        bent = respond(ramp.clone(), draw_camera(generator(number)))
+        assert (bent.diff(dim=-1) > 0).all()
+        assert torch.equal(bent[..., 0], ramp[..., 0])
+        torch.testing.assert_close(bent[..., -1], ramp[..., -1])
+
+
+def test_stream_holds_the_same_samples_scene_by_scene(packed: Path) -> None:
+    settings = SampleSettings(**SMALL, length=20)
+    data = MultiLightDataset(packed, settings)
+    wanted = sorted(data[i]["target"].numpy().tobytes() for i in range(20))
+    whole = list(MultiLightStream(packed, settings))
+    assert sorted(s["target"].numpy().tobytes() for s in whole) == wanted
+    scenes = [s["meta"]["scene"] for s in whole]
+    assert scenes == sorted(scenes)
+    shares = []
+    for rank in (0, 1):
+        stream = MultiLightStream(packed, settings, rank=rank, world=2)
+        assert len(stream) == 10
+        shares += list(DataLoader(stream, batch_size=None, num_workers=2, multiprocessing_context="spawn"))
+    assert sorted(s["target"].numpy().tobytes() for s in shares) == wanted
+
+
+@pytest.mark.parametrize("kind", ["packed", "native"])
+def test_remote_datasets_read_alike(spheres_dataset: Path, packed: Path, kind: str) -> None:
+    local = packed if kind == "packed" else spheres_dataset
+    memory = fsspec.filesystem("memory")
+    for path in local.rglob("*"):
+        if path.is_file():
+            memory.pipe(f"/{kind}/{path.relative_to(local)}", path.read_bytes())
+    remote, here = opened(f"memory://{kind}", length=4), opened(local, length=4)
+    assert remote.source.packed == (kind == "packed")
+    assert all(same(remote[i], here[i]) for i in range(4))
+
+
+def test_reads_without_what_renders(spheres_dataset: Path, packed: Path, tmp_path: Path) -> None:
+    """With every library blocked that only making data needs: packs, and trains from both."""
+    copy = shutil.copytree(spheres_dataset, tmp_path / "native")
+    code = f"""
+import sys
+BLOCKED = {{"bpy", "bmesh", "mathutils", "mitsuba", "drjit", "mitsuba_oidn", "trimesh", "embreex", "fcl", "igl",
+           "mujoco", "pebble", "psutil", "matplotlib", "pxr", "pycolmap", "onnxruntime", "webdataset", "datasets"}}
+class Block:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in BLOCKED:
+            raise ImportError(f"{{name}} is not installed")
+sys.meta_path.insert(0, Block())
+from multilight.datagen.cli import main
+from multilight.model.data import MultiLightDataset, SampleSettings
+settings = SampleSettings(size=32, split=None, visible=5.0)
+for root in ({str(copy)!r}, {str(packed)!r}):
+    assert MultiLightDataset(root, settings)[0]["target"].shape == (3, 32, 32)
+assert main(["pack", {str(copy)!r}, "--out", {str(tmp_path / "packed")!r}, "--workers", "1"]) == 0
+assert main(["pack", {str(copy)!r}, "--out", {str(copy)!r}]) == 1
+BLOCKED.remove("matplotlib")  # which FLIP's library imports
+from multilight.model import evaluation, harmonize, training, training3d
+"""
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    assert shown.returncode == 0, shown.stderr
+    assert "error: " in shown.stderr

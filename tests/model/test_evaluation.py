@@ -1,0 +1,239 @@
+"""The evaluation: the same tuples every time, subsets, consistency between views, tables and pages."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from multilight.datagen.cli import main
+from multilight.datagen.errors import UserError
+from multilight.datagen.storage.records import SceneRecord
+from multilight.datagen.storage.store import read_scene, scene_dir
+from multilight.lights.conditions import WHITE
+from multilight.lights.display.tonemap import srgb_encode, tone_curve
+from multilight.lights.spec import AreaLight, EmissiveLight, LightRig, PointLight, SunLight
+from multilight.model.cli import COMMANDS
+from multilight.model.configs.stage2d import NetworkConfig
+from multilight.model.evaluation.cases import CaseSettings, Group, dataset_groups, light_shares, subsets_of
+from multilight.model.evaluation.consistency import disagreement, sample, shared_pairs, shared_pixels
+from multilight.model.evaluation.page import Table
+from multilight.model.evaluation.run import evaluate, methods_of, watched_memory
+from multilight.model.networks.checkpoint import save_network
+from multilight.model.networks.compositing2d import Compositing2D
+from multilight.scenes.cameras.pinhole import camera_from_fov, look_at, project, unproject
+from multilight.scenes.spec import Camera
+
+SETTINGS = CaseSettings(splits=("train", "val", "test", "test_ood"), groups=2, size=64)
+
+
+@pytest.fixture(scope="module")
+def groups(spheres_dataset: Path) -> list[Group]:
+    return [load() for load in dataset_groups(spheres_dataset, SETTINGS)]
+
+
+@pytest.fixture(scope="module")
+def record(spheres_dataset: Path) -> SceneRecord:
+    return read_scene(scene_dir(spheres_dataset, 0))
+
+
+def test_tuples_are_the_same_every_time(spheres_dataset: Path, groups: list[Group]) -> None:
+    again = [load() for load in dataset_groups(spheres_dataset, SETTINGS)]
+    other = dataset_groups(spheres_dataset, CaseSettings(SETTINGS.splits, 2, seed=1, size=64))[0]()
+    assert [c.name for g in again for c in g.cases] == [c.name for g in groups for c in g.cases]
+    for first, second in zip(groups, again, strict=True):
+        assert first.subsets == second.subsets
+        for a, b in zip(first.cases, second.cases, strict=True):
+            np.testing.assert_array_equal(a.composite, b.composite)
+    assert not np.array_equal(other.cases[0].composite, groups[0].cases[0].composite)
+
+
+def test_cases_hold_their_identities(groups: list[Group]) -> None:
+    for case in (case for group in groups for case in group.cases):
+        assert case.target is not None
+        assert case.effect is not None
+        np.testing.assert_allclose(case.target - case.background, case.effect, atol=1e-6)
+        outside = case.mask == 0
+        np.testing.assert_allclose(case.composite[outside], case.background[outside], atol=1e-6)
+        assert case.mask.sum() >= 30
+
+
+def test_a_split_without_scenes_is_told(spheres_dataset: Path) -> None:
+    with pytest.raises(UserError, match="--splits"):
+        dataset_groups(spheres_dataset, CaseSettings(splits=("test_ood",)))
+
+
+def test_light_shares_are_those_of_the_target(spheres_dataset: Path) -> None:
+    """The gains that the subsets are judged by must be those that lit the target."""
+    from multilight.datagen.storage.training_source import open_training
+    from multilight.model.data.dataset import MultiLightDataset
+    from multilight.model.data.lighting import lit_conditions
+    from multilight.model.data.settings import SampleSettings
+
+    settings = SampleSettings(size=48, split=None, length=1, views=2, augment=False)
+    samples = MultiLightDataset(spheres_dataset, settings)
+    draw = samples.plan.draw(0, 0)
+    source = open_training(spheres_dataset)
+    views = [source.view(draw.place.scene, number) for number in draw.views]
+    _, base = lit_conditions(draw.rng, views, 2)
+    lit = np.einsum("lhwc,lc->hwc", views[0].variant("all").astype(np.float32), base)
+    shown = srgb_encode(tone_curve(lit))[:, 8:-8]
+    np.testing.assert_allclose(samples[0]["target"][0].numpy().transpose(1, 2, 0), shown, atol=2e-3)
+    shares = light_shares(views, base)
+    assert sum(shares.values()) == pytest.approx(1.0)
+    assert {name for name, share in shares.items() if share == 0} == {
+        name for name, gain in zip(views[0].lights, base, strict=True) if not gain.any()
+    }
+
+
+def with_rig(record: SceneRecord, *lights: object) -> SceneRecord:
+    return record.model_copy(update={"rig": LightRig(lights=lights)})  # type: ignore[arg-type]
+
+
+def test_subsets(record: SceneRecord) -> None:
+    name = record.scene.insertable[0]
+    sun = SunLight(name="sun", direction=(0, 0, -1), irradiance=WHITE, angle=0.01)
+    panel = AreaLight(name="panel", width=2, height=2, world_from_light=np.eye(4).tolist(), radiance=WHITE)
+    glow = EmissiveLight(name="glow", body=name, radiance=WHITE)
+    lit = with_rig(record, sun, panel, glow)
+    kind = f"kind: {record.scene.kind}"
+    assert subsets_of(lit, name, {"sun": 0.8, "panel": 0.2, "glow": 0.0}) == (kind, "hard shadow")
+    assert subsets_of(lit, name, {"sun": 0.3, "panel": 0.7, "glow": 0.0}) == (kind,)
+    assert subsets_of(lit, name, {"sun": 0.1, "panel": 0.6, "glow": 0.3}) == (kind, "emissive")
+    bulb = PointLight(name="sun", position=(0, 0, 1.5), intensity=WHITE, radius=0.5)
+    assert "hard shadow" not in subsets_of(with_rig(record, bulb), name, {"sun": 1.0})
+    body = record.scene.body(name)
+    polished = tuple(m.model_copy(update={"metallic": 1.0, "roughness": 0.05}) for m in body.materials)
+    bodies = tuple(b.model_copy(update={"materials": polished}) if b.name == name else b for b in record.scene.bodies)
+    shiny = record.model_copy(update={"scene": record.scene.model_copy(update={"bodies": bodies})})
+    assert "mirror" in subsets_of(shiny, name, dict.fromkeys(record.rig.names, 0.1))
+
+
+def plane_views() -> tuple[list[Camera], list[np.ndarray], list[np.ndarray]]:
+    """Two cameras over the plane z = 0, whose colour is a smooth function of the place: exact depth and pictures."""
+    cameras = [
+        camera_from_fov(look_at(eye, (0.1, 0, 0)), width=48, height=40, fov=0.7)
+        for eye in ((1.0, -1.2, 1.5), (-0.6, -1.4, 1.6))
+    ]
+    depths, pictures = [], []
+    for camera in cameras:
+        one = unproject(camera, np.ones((40, 48)))
+        eye = camera.pose()[:3, 3]
+        depth = -eye[2] / (one - eye)[..., 2]
+        points = unproject(camera, depth)
+        depths.append(depth.astype(np.float32))
+        colour = 0.5 + 0.2 * np.stack([np.sin(2 * points[..., 0]), np.cos(3 * points[..., 1]), points[..., 0]], -1)
+        pictures.append(colour.astype(np.float32))
+    return cameras, depths, pictures
+
+
+def test_a_matt_plane_is_consistent() -> None:
+    cameras, depths, pictures = plane_views()
+    pairs = shared_pairs(cameras, depths, [np.ones((40, 48), bool)] * 2)
+    assert [(pair.first, pair.second) for pair in pairs] == [(0, 1), (1, 0)]
+    assert disagreement(pictures, pairs) < 1e-3
+    assert disagreement([pictures[0], pictures[1] + 0.1], pairs) == pytest.approx(0.1, abs=2e-3)
+
+
+def test_only_the_region_is_compared() -> None:
+    cameras, depths, pictures = plane_views()
+    regions = [np.zeros((40, 48), bool) for _ in range(2)]
+    regions[0][:, :30] = True
+    (pair,) = shared_pairs(cameras, depths, regions)
+    wrong = pictures[0].copy()
+    wrong[:, 30:] = 9.0
+    assert disagreement([wrong, pictures[1]], [pair]) < 1e-3
+
+
+def test_hidden_points_are_not_compared() -> None:
+    cameras, depths, _ = plane_views()
+    seen, pixels = shared_pixels(cameras[0], depths[0], cameras[1], depths[1])
+    assert seen.mean() > 0.2
+    there, _ = project(cameras[1], unproject(cameras[0], depths[0])[seen])
+    np.testing.assert_allclose(there, pixels)
+    nearer = depths[1] * 0.9  # something stands before everything that b sees
+    assert not shared_pixels(cameras[0], depths[0], cameras[1], nearer.astype(np.float32))[0].any()
+
+
+def test_too_few_shared_pixels_say_nothing() -> None:
+    cameras, depths, pictures = plane_views()
+    pairs = shared_pairs(cameras, depths, [np.zeros((40, 48), bool)] * 2)
+    assert np.isnan(disagreement(pictures, pairs))
+
+
+def test_lookup_is_bilinear() -> None:
+    picture = np.zeros((2, 2, 3), np.float32)
+    picture[0, 1] = 1.0
+    np.testing.assert_allclose(sample(picture, np.array([[1.0, 0.5], [1.5, 0.5]])), [[0.5] * 3, [1.0] * 3])
+
+
+def test_a_perfect_model_wins_everywhere(groups: list[Group]) -> None:
+    targets = {case.composite.tobytes(): case.target for group in groups for case in group.cases}
+    models = {
+        "perfect": lambda composite, background, depth, mask: targets[composite.tobytes()],
+        "dull": lambda composite, background, depth, mask: background,
+    }
+    found = evaluate([lambda g=g: g for g in groups], methods_of(models))
+    both = "object and effect"
+    assert found.means("perfect")[both]["PSNR"] == 60.0
+    for method in found.methods[:-2] + ("dull",):
+        assert found.means(method)[both]["PSNR"] < 45
+        assert found.means(method)[both]["FLIP"] > found.means("perfect")[both]["FLIP"]
+    assert found.inconsistency("perfect")[1] == pytest.approx(1.0)
+    assert found.inconsistency("dull")[0] >= 0
+    assert len(found.worst) == min(10, len(found.frames))
+    order = [shown.scores["dull"][both]["PSNR"] for shown in found.worst]
+    assert order == sorted(order)
+    assert order[0] == min(frame.scores["dull"][both]["PSNR"] for frame in found.frames)
+    assert found.subsets[0] in SETTINGS.splits or found.subsets[0].startswith("kind")
+
+
+def test_memory_is_watched() -> None:
+    with watched_memory() as memory:
+        block = torch.ones(20, 1024, 1024)
+        block += 1
+    del block
+    assert 60 < memory.megabytes < 400
+
+
+def test_the_best_of_a_column_is_set_off() -> None:
+    rows = {"a": (20.004, float("nan"), 1.0), "b": (20.0, 2.0, 0.5), "c": (19.0, 3.0, 2.0)}
+    table = Table("t", "", ("x", "y", "z"), rows, (2, 0, 1), (True, False, None))
+    assert table.cells("a") == [("20.00", True), ("–", False), ("1.0", False)]
+    assert table.cells("b") == [("20.00", True), ("2", True), ("0.5", False)]
+    assert table.cells("c") == [("19.00", False), ("3", False), ("2.0", False)]
+
+
+def test_command_writes_tables_and_pictures(spheres_dataset: Path, tmp_path: Path) -> None:
+    config = NetworkConfig(width=16, groups=1, blocks=2, heads=2, window=4, pooled=2)
+    save_network(tmp_path / "tiny.safetensors", Compositing2D(config), config, {})
+    words = ["evaluate", str(spheres_dataset), "--weights", str(tmp_path / "tiny.safetensors"), "--groups", "2"]
+    words += ["--size", "48", "--splits", "train", "val", "test", "--out", str(tmp_path / "out")]
+    assert main(words, COMMANDS) == 0
+    page = (tmp_path / "out" / "index.html").read_text()
+    assert not re.search(r'(src|href)="(?!data:)', page), "the page is self-contained"
+    assert page.count("data:image/jpeg") > 12
+    found = json.loads((tmp_path / "out" / "evaluation.json").read_text())
+    assert list(found["methods"]) == ["raw composite", "colour transfer", "histogram", "Poisson", "tiny"]
+    # An untrained network returns the composite.
+    untrained, raw = (found["methods"][name]["all"]["image"]["PSNR"] for name in ("tiny", "raw composite"))
+    assert untrained == pytest.approx(raw, abs=0.05)
+    assert all(set(frame["scores"]) == set(found["methods"]) for frame in found["frames"])
+    table = (tmp_path / "out" / "table.md").read_text()
+    assert f"| raw composite | {raw:.2f}" in table or f"| raw composite | **{raw:.2f}**" in table
+
+
+def test_command_asks_for_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["evaluate", "--out", str(tmp_path / "out")], COMMANDS) == 1
+    assert "say what to evaluate on" in capsys.readouterr().err
+
+
+def test_missing_ready_made_weights_say_how_to_train(
+    spheres_dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["evaluate", str(spheres_dataset), "--splits", "train", "val", "test"]
+    words += ["--out", str(tmp_path), "--weights", str(tmp_path / "none.safetensors")]
+    assert main(words, COMMANDS) == 1
+    assert "multilight train" in capsys.readouterr().err
