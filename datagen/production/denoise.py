@@ -19,7 +19,8 @@ from scipy.ndimage import binary_dilation, find_objects, gaussian_filter, label,
 
 from multilight.datagen.storage.layers import Float32, LayerStack
 from multilight.datagen.verification.residuals import LIMIT, Mask, residual
-from multilight.lights.display.tonemap import LUMINANCE_WEIGHTS, MIDDLE_GREY
+from multilight.lights.display.tonemap import MIDDLE_GREY
+from multilight.scenes.colour import LUMINANCE_WEIGHTS
 
 AUTO_SPP = 2048  # samples a pixel at which raw layers were as near to a converged render as denoised ones
 T = TypeVar("T")

@@ -10,7 +10,7 @@ from multilight.datagen.errors import StoreError
 from multilight.datagen.stats.facts import Values
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.store import file_inside, file_sha256, read_view
-from multilight.lights.display.tonemap import luminance
+from multilight.scenes.colour import luminance
 from multilight.scenes.files.limits import open_picture
 
 Float64 = NDArray[np.float64]

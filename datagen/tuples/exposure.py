@@ -5,9 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from multilight.datagen.storage.layers import Float32
-from multilight.lights.display.tonemap import luminance, meter_ev
+from multilight.lights.display.tonemap import meter_ev
 from multilight.lights.relight import mix
 from multilight.lights.spec import LightingCondition
+from multilight.scenes.colour import luminance
 
 THUMBNAIL = 32  # pixels a side of the pictures that are metered
 DARK = 0.05  # luminance that the brightest twentieth of every view must reach (middle grey is 0.18)

@@ -7,9 +7,9 @@ from pxr import Gf, Sdf, UsdShade
 
 from multilight.datagen.usd.files import Files
 from multilight.datagen.usd.gains import GlowDial, photometric
-from multilight.lights.display.tonemap import LUMINANCE_WEIGHTS
 from multilight.lights.spec import EmissiveLight
 from multilight.scenes.assets.formats.usd.names import BASE, IMAGE, NAME, OPACITY, TRANSMISSION
+from multilight.scenes.colour import LUMINANCE_WEIGHTS
 from multilight.scenes.spec import Material, Texture
 
 _TYPES = Sdf.ValueTypeNames

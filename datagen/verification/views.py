@@ -18,9 +18,9 @@ from multilight.datagen.storage.store import ViewData, as_stored, file_inside, f
 from multilight.datagen.tuples import compose
 from multilight.datagen.tuples.exposure import BRIGHT, DARK
 from multilight.datagen.verification.residuals import SIDES, residual
-from multilight.lights.display.tonemap import luminance
 from multilight.lights.spec import LightingCondition
 from multilight.scenes.cameras.pinhole import reprojection_error
+from multilight.scenes.colour import luminance
 
 ADDITIVITY = 1e-3  # raw layers against the renderer's own picture: float32 sums of half a dozen layers
 FAR = 0.2

@@ -3,33 +3,13 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-LUMINANCE_WEIGHTS = (0.2126, 0.7152, 0.0722)
-"""Relative luminance of the Rec.709 primaries under D65 (ITU-R BT.709-6, item 3.2)."""
+from multilight.scenes.colour import luminance, srgb_encode
 
 MIDDLE_GREY = 0.18
 """The luminance that a metered picture's key lands on: the reflectance of a photographer's grey card."""
 
 HIGHLIGHT_LIMIT = 1.5
 """Metering keeps the 97th percentile of luminance below this where it can: brighter means near-white."""
-
-
-def luminance(radiance: ArrayLike) -> NDArray[np.floating]:
-    """Return the Rec.709 relative luminance of linear RGB (..., 3): (...), in the same unit and float type."""
-    rgb = np.asarray(radiance)
-    weights = np.array(LUMINANCE_WEIGHTS, rgb.dtype if np.issubdtype(rgb.dtype, np.floating) else np.float64)
-    return rgb @ weights
-
-
-def srgb_encode(linear: ArrayLike) -> NDArray[np.floating]:
-    """Encode linear values in [0, 1] with the sRGB transfer curve (IEC 61966-2-1); clips to [0, 1]."""
-    x = np.clip(linear, 0.0, 1.0)
-    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 0.0031308) ** (1 / 2.4) - 0.055)
-
-
-def srgb_decode(encoded: ArrayLike) -> NDArray[np.floating]:
-    """Invert `srgb_encode`: sRGB-encoded values in [0, 1] to linear ones."""
-    x = np.clip(encoded, 0.0, 1.0)
-    return np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
 
 
 def tone_curve(radiance: ArrayLike) -> NDArray[np.float32]:

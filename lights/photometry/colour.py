@@ -10,8 +10,8 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
-from multilight.lights.display.tonemap import srgb_decode
 from multilight.lights.photometry.radiometry import rgb_from_scalar
+from multilight.scenes.colour import srgb_decode
 from multilight.scenes.frozen import Rgb
 
 COLDEST, HOTTEST = 1000.0, 25000.0

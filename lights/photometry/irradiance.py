@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from multilight.lights.display.tonemap import luminance
 from multilight.lights.spec import AreaLight, EmissiveLight, EnvironmentLight, Light, PointLight, SpotLight, SunLight
 from multilight.scenes.assets.environments import read_environment
 from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.colour import luminance
 from multilight.scenes.geometry.rays import SceneRays, body_triangles
 from multilight.scenes.spec import MeshAsset, SceneSpec
 

@@ -6,7 +6,7 @@ Introduction to Radiometry and Photometry, 2nd ed., 2014, ch. 1 and 2.
 
 import math
 
-from multilight.lights.display.tonemap import LUMINANCE_WEIGHTS
+from multilight.scenes.colour import LUMINANCE_WEIGHTS
 from multilight.scenes.frozen import Rgb
 
 LUMINOUS_EFFICACY = 179.0

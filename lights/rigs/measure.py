@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from multilight.lights.display.tonemap import luminance
 from multilight.lights.photometry.angular_size import angular_diameter
 from multilight.lights.photometry.colour import temperature_of
 from multilight.lights.photometry.irradiance import StillLife, map_directions, small_map
@@ -21,6 +20,7 @@ from multilight.lights.spec import (
     SunLight,
 )
 from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.colour import luminance
 from multilight.scenes.frozen import Rgb
 from multilight.scenes.spec import SceneSpec
 

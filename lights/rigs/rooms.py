@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from multilight.lights.display.tonemap import luminance
 from multilight.lights.photometry.colour import gel_rgb, random_gel, temperature_to_rgb
 from multilight.lights.photometry.radiometry import (
     area_radiance_from_flux,
@@ -24,6 +23,7 @@ from multilight.lights.rigs.windows import daylight, sunlight
 from multilight.lights.spec import AreaLight, EmissiveLight, Light, LightRig, SpotLight
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.cameras.pinhole import matrix4
+from multilight.scenes.colour import luminance
 from multilight.scenes.frozen import Rgb
 from multilight.scenes.geometry.rays import body_triangles
 from multilight.scenes.materials import GLOW

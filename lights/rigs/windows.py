@@ -3,13 +3,13 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from multilight.lights.display.tonemap import luminance
 from multilight.lights.photometry.colour import temperature_to_rgb
 from multilight.lights.photometry.irradiance import map_directions, small_map
 from multilight.lights.photometry.radiometry import rgb_from_scalar, watts_from_photometric
 from multilight.lights.rigs.lamps import log_uniform
 from multilight.lights.spec import EnvironmentLight, SunLight
 from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.colour import luminance
 from multilight.scenes.spec import Body
 
 SUN_RATIO = (1.0, 5.0)

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from multilight.datagen.errors import UserError
-from multilight.lights.display.tonemap import srgb_decode
 from multilight.scenes.assets.formats.beside import load_scene
 from multilight.scenes.assets.formats.cleaning import Z_UP_FROM_Y_UP, clean_mesh, transformed
 from multilight.scenes.assets.formats.gltf import raw_part
 from multilight.scenes.assets.library import AssetError, AssetLibrary
 from multilight.scenes.assets.packs.folder import SUFFIXES
+from multilight.scenes.colour import srgb_decode
 from multilight.scenes.files.limits import open_picture
 from multilight.scenes.meshes import Mesh
 from multilight.scenes.spec import Texture

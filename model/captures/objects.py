@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 from trimesh import Trimesh
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
-from multilight.lights.display.tonemap import srgb_decode, srgb_encode
 from multilight.model.captures.assets import Asset
 from multilight.scenes.cameras.pinhole import pixel_rays, project
+from multilight.scenes.colour import srgb_decode, srgb_encode
 from multilight.scenes.meshes import MeshPart
 from multilight.scenes.spec import Camera
 

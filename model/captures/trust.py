@@ -9,9 +9,9 @@ import torch
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from multilight.lights.display.tonemap import srgb_decode, srgb_encode
 from multilight.model.gaussians.splat_scene import SplatScene
 from multilight.model.networks.compositing3d import FLOOR
+from multilight.scenes.colour import srgb_decode, srgb_encode
 from multilight.scenes.spec import Camera
 
 Float32 = NDArray[np.float32]

@@ -8,8 +8,9 @@ import numpy as np
 from multilight.datagen.storage.layers import Float32
 from multilight.datagen.storage.packed import TILE, PackedView
 from multilight.lights.conditions import EXPOSURE, GAIN
-from multilight.lights.display.tonemap import luminance, meter_ev
+from multilight.lights.display.tonemap import meter_ev
 from multilight.lights.photometry.colour import GELS, gel_rgb, temperature_to_rgb
+from multilight.scenes.colour import luminance
 
 ONE, TWO = 0.2, 0.15
 """Share of conditions with a single light, and with two; in the others each is on with a chance of three in four."""

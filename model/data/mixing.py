@@ -10,8 +10,8 @@ from torch import Tensor
 
 from multilight.datagen.storage.layers import Float32
 from multilight.datagen.storage.packed import SAME, TILE, PackedView
-from multilight.lights.display.tonemap import srgb_encode
 from multilight.model.data.augment import Camera, respond
+from multilight.scenes.colour import srgb_encode
 
 
 @dataclass(frozen=True)

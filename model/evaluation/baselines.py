@@ -12,17 +12,13 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
-from multilight.lights.display.tonemap import srgb_decode, srgb_encode
+from multilight.scenes.colour import XYZ_FROM_RGB, srgb_decode, srgb_encode
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 Baseline = Callable[[Float32, Float32, Float32], Float32]
 
-RGB_TO_XYZ = np.array(
-    [[0.4123908, 0.3575843, 0.1804808], [0.2126390, 0.7151687, 0.0721923], [0.0193308, 0.1191948, 0.9505322]]
-)
-"""Linear Rec.709 to CIE XYZ under D65 (ITU-R BT.709-6 primaries)."""
-_WHITE = RGB_TO_XYZ.sum(axis=1)
+_WHITE = XYZ_FROM_RGB.sum(axis=1)
 
 
 def raw_composite(composite: Float32, background: Float32, mask: Float32) -> Float32:
@@ -115,7 +111,7 @@ BASELINES: dict[str, Baseline] = {
 
 def lab_from_srgb(encoded: NDArray[np.floating]) -> Float64:
     """Convert display-encoded sRGB (..., 3) in [0, 1] to CIELAB (CIE 15:2004), D65 white."""
-    xyz = (srgb_decode(np.asarray(encoded, np.float64)) @ RGB_TO_XYZ.T) / _WHITE
+    xyz = (srgb_decode(np.asarray(encoded, np.float64)) @ XYZ_FROM_RGB.T) / _WHITE
     f = np.where(xyz > (6 / 29) ** 3, np.cbrt(xyz), xyz / (3 * (6 / 29) ** 2) + 4 / 29)
     return np.stack([116 * f[..., 1] - 16, 500 * (f[..., 0] - f[..., 1]), 200 * (f[..., 1] - f[..., 2])], axis=-1)
 
@@ -125,7 +121,7 @@ def srgb_from_lab(lab: Float64) -> Float64:
     y = (lab[..., 0] + 16) / 116
     f = np.stack([y + lab[..., 1] / 500, y, y - lab[..., 2] / 200], axis=-1)
     xyz = np.where(f > 6 / 29, f**3, 3 * (6 / 29) ** 2 * (f - 4 / 29)) * _WHITE
-    return np.asarray(srgb_encode(xyz @ np.linalg.inv(RGB_TO_XYZ).T), np.float64)
+    return np.asarray(srgb_encode(xyz @ np.linalg.inv(XYZ_FROM_RGB).T), np.float64)
 
 
 def _pixels(mask: Float32) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

@@ -12,7 +12,6 @@ from multilight.datagen.errors import UserError
 from multilight.datagen.storage.packed import PackedView
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.training_source import open_training
-from multilight.lights.display.tonemap import luminance
 from multilight.lights.photometry.angular_size import angular_diameter
 from multilight.lights.spec import EmissiveLight
 from multilight.model.data.dataset import MultiLightDataset, make_samples
@@ -22,6 +21,7 @@ from multilight.model.data.settings import SampleSettings
 from multilight.scenes.appearance import is_mirror, material_class
 from multilight.scenes.assets.splits import Split
 from multilight.scenes.cameras.pinhole import matrix4
+from multilight.scenes.colour import luminance
 from multilight.scenes.spec import Camera
 
 Float32 = NDArray[np.float32]

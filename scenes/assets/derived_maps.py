@@ -16,6 +16,7 @@ from scipy.ndimage import gaussian_filter
 
 from multilight.scenes.assets.cache import sources_key, write_once
 from multilight.scenes.assets.info import AssetError
+from multilight.scenes.colour import LUMINANCE_WEIGHTS
 from multilight.scenes.files.limits import open_picture
 
 MAPS = ("normal", "roughness")
@@ -40,7 +41,7 @@ def roughness_map(detail: Array) -> NDArray[np.uint8]:
 
 def band(albedo: NDArray[np.uint8]) -> Array:
     """Return the brightness (N, M) of a picture between 0.8 pixels and a fortieth of its size, zero on average."""
-    grey = albedo[..., :3].astype(np.float64) @ (0.2126, 0.7152, 0.0722) / 255
+    grey = albedo[..., :3].astype(np.float64) @ LUMINANCE_WEIGHTS / 255
     detail = gaussian_filter(grey, 0.8, mode="wrap") - gaussian_filter(grey, max(grey.shape) / 40, mode="wrap")
     return np.clip(detail / max(float(detail.std()), _FLAT), -2.5, 2.5)
 

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from multilight.scenes.assets.builtin.backdrops import ROLL, ROLL_ID, STUDIO, SWEEP_ID, TABLE_SWEEP_IDS, table_size
 from multilight.scenes.assets.library import AssetLibrary
-from multilight.scenes.materials import linear_from_hex, painted_wall, sample_material
+from multilight.scenes.colour import linear_from_hex
+from multilight.scenes.materials import painted_wall, sample_material
 from multilight.scenes.spec import Body, Material, SceneSpec
 from multilight.scenes.still_life.receivers import choose_receiver, with_receiver
 from multilight.scenes.still_life.sample import StillLifeSettings, sample_still_life

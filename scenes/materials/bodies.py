@@ -6,7 +6,8 @@ from multilight.scenes.assets.derived_maps import MEAN_ROUGHNESS
 from multilight.scenes.assets.formats.mtl import class_of
 from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.assets.library import AssetLibrary
-from multilight.scenes.materials.classes import FINISHES, METALS, linear_from_hex, sample_material
+from multilight.scenes.colour import linear_from_hex
+from multilight.scenes.materials.classes import FINISHES, METALS, sample_material
 from multilight.scenes.materials.emission import emission_of
 from multilight.scenes.materials.textured import pick_texture, textured
 from multilight.scenes.meshes import Mesh

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from multilight.scenes.colour import linear_from_hex
 from multilight.scenes.frozen import Rgb
 from multilight.scenes.spec import Material
 
@@ -88,13 +89,6 @@ FINISHES: dict[str, Finish] = {
     "wall": Finish((0.6, 0.95), _WALLS),
     "floor": Finish((0.25, 0.6), coated=0.1),
 }
-
-
-def linear_from_hex(colour: str) -> Rgb:
-    """Decode six hex digits of sRGB (IEC 61966-2-1) to linear Rec.709."""
-    values = np.array([int(colour[i : i + 2], 16) / 255 for i in (0, 2, 4)])
-    red, green, blue = np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
-    return float(red), float(green), float(blue)
 
 
 def sample_material(

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.colour import linear_from_hex
 from multilight.scenes.geometry.support_surfaces import SupportError, find_support
-from multilight.scenes.materials import METALS, body_materials, linear_from_hex, sample_material
+from multilight.scenes.materials import METALS, body_materials, sample_material
 from multilight.scenes.spec import Material
 from multilight.scenes.still_life.placement import PlacementError
 from multilight.scenes.still_life.setting import Setting, make_body, without_box

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from multilight.scenes.assets.builtin.backdrops import STUDIO, SWEEP_ID
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.cameras.pinhole import matrix4
-from multilight.scenes.materials import linear_from_hex, painted_wall, pick_texture, textured
+from multilight.scenes.colour import linear_from_hex
+from multilight.scenes.materials import painted_wall, pick_texture, textured
 from multilight.scenes.spec import Body, Material, MeshAsset, Rectangle
 
 SurroundingKind = Literal["ground", "corner", "backdrop"]

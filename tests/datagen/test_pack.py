@@ -20,8 +20,8 @@ from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.source import open_dataset
 from multilight.datagen.storage.store import ViewData, read_scene, read_view, scene_dir, write_view
 from multilight.datagen.storage.training_source import open_training, packed_file
-from multilight.lights.display.tonemap import luminance
 from multilight.model.data import MultiLightDataset, SampleSettings
+from multilight.scenes.colour import luminance
 from tests.datagen.chain import chain
 
 

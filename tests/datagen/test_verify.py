@@ -23,8 +23,8 @@ from multilight.datagen.storage.store import (
 from multilight.datagen.tuples.exposure import DARK, LIFTED_BRIGHT, LIFTED_DARK, meter_condition
 from multilight.datagen.verification.dataset import verify_dataset
 from multilight.datagen.verification.views import verify_scene
-from multilight.lights.display.tonemap import luminance
 from multilight.lights.spec import LightingCondition
+from multilight.scenes.colour import luminance
 
 Damage = Callable[[ViewData, str], ViewData]
 

@@ -10,17 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from multilight.lights.display.tonemap import (
-    HIGHLIGHT_LIMIT,
-    LUMINANCE_WEIGHTS,
-    MIDDLE_GREY,
-    luminance,
-    meter_ev,
-    srgb_decode,
-    srgb_encode,
-    to_display,
-    tone_curve,
-)
+from multilight.lights.display.tonemap import HIGHLIGHT_LIMIT, MIDDLE_GREY, meter_ev, to_display, tone_curve
 from multilight.lights.photometry import ies as profiles
 from multilight.lights.photometry import radiometry
 from multilight.lights.photometry.colour import (
@@ -35,6 +25,7 @@ from multilight.lights.photometry.directions import gobo_coordinates, spot_frame
 from multilight.lights.relight import gain_matrix, mix
 from multilight.lights.spec import LightingCondition, PointLight
 from multilight.scenes.assets.builtin import skies as sky
+from multilight.scenes.colour import LUMINANCE_WEIGHTS, luminance, srgb_decode, srgb_encode
 
 LIGHTS = ("key", "fill", "sky")
 gain = st.floats(0.0, 8.0, width=32)

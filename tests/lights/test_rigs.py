@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from multilight.lights.conditions import EXPOSURE, random_condition, sample_conditions
-from multilight.lights.display.tonemap import luminance
 from multilight.lights.photometry.irradiance import StillLife, map_directions
 from multilight.lights.rigs.balance import FAINTEST
 from multilight.lights.rigs.daylight import overcast, sun_and_sky
@@ -25,6 +24,7 @@ from multilight.lights.spec import (
 )
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.cameras.pinhole import look_at, matrix4
+from multilight.scenes.colour import luminance
 from multilight.scenes.kinds.spheres import sample_spheres
 from multilight.scenes.kinds.tabletop import TabletopSettings, emissive_candidate, sample_tabletop
 from multilight.scenes.spec import SceneSpec

@@ -17,11 +17,12 @@ from multilight.datagen.errors import UserError
 from multilight.datagen.storage.pack import pack_dataset
 from multilight.datagen.storage.source import open_dataset
 from multilight.datagen.tuples import compose
-from multilight.lights.display.tonemap import luminance, srgb_encode, tone_curve
+from multilight.lights.display.tonemap import tone_curve
 from multilight.model.data import MultiLightDataset, MultiLightStream, SampleSettings
 from multilight.model.data.augment import draw_camera, respond
 from multilight.model.data.lighting import draw_gains, tints
 from multilight.model.data.plan import generator
+from multilight.scenes.colour import luminance, srgb_encode
 from multilight.scenes.spec import Sphere
 from tests import ROOT
 

@@ -13,7 +13,7 @@ from multilight.datagen.errors import UserError
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.store import read_scene, scene_dir
 from multilight.lights.conditions import WHITE
-from multilight.lights.display.tonemap import srgb_encode, tone_curve
+from multilight.lights.display.tonemap import tone_curve
 from multilight.lights.spec import AreaLight, EmissiveLight, LightRig, PointLight, SunLight
 from multilight.model.cli import COMMANDS
 from multilight.model.configs.stage2d import NetworkConfig
@@ -24,6 +24,7 @@ from multilight.model.evaluation.run import evaluate, methods_of, watched_memory
 from multilight.model.networks.checkpoint import save_network
 from multilight.model.networks.compositing2d import Compositing2D
 from multilight.scenes.cameras.pinhole import camera_from_fov, look_at, project, unproject
+from multilight.scenes.colour import srgb_encode
 from multilight.scenes.spec import Camera
 
 SETTINGS = CaseSettings(splits=("train", "val", "test", "test_ood"), groups=2, size=64)

@@ -23,6 +23,7 @@ from mathutils import Matrix  # noqa: E402
 from multilight.scenes.assets.formats.gltf import LIGHTS_KEY  # noqa: E402
 from multilight.scenes.assets.formats.scene_file import FoundLight  # noqa: E402
 from multilight.scenes.cameras.pinhole import matrix4  # noqa: E402
+from multilight.scenes.colour import srgb_decode  # noqa: E402
 from multilight.scenes.files.inside import OutsideError, held  # noqa: E402
 from multilight.scenes.frozen import Rgb  # noqa: E402
 
@@ -137,7 +138,7 @@ def _write_map(image: Any, path: Path) -> None:
     image.pixels.foreach_get(pixels)
     rows = np.ascontiguousarray(pixels.reshape(height, width, 4)[::-1, :, :3])
     if image.colorspace_settings.name == "sRGB" and not image.is_float:
-        rows = np.where(rows <= 0.04045, rows / 12.92, ((rows + 0.055) / 1.055) ** 2.4).astype(np.float32)
+        rows = srgb_decode(rows).astype(np.float32)
     with OpenEXR.File({}, {"RGB": rows}) as picture:
         picture.write(str(path))
 

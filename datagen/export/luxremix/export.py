@@ -26,10 +26,11 @@ from multilight.datagen.storage.manifest import ScenePart, scene_part
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.source import DatasetSource
 from multilight.datagen.storage.store import ViewData, in_half
-from multilight.lights.display.tonemap import srgb_encode, to_display
+from multilight.lights.display.tonemap import to_display
 from multilight.lights.relight import mix
 from multilight.lights.spec import EmissiveLight
 from multilight.scenes.cameras.pinhole import ray_distance_from_z_depth
+from multilight.scenes.colour import srgb_encode
 
 SCENES_A_TAR = 10
 SHINES = {False: 0.5, True: 0.05}

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from multilight.scenes.assets.cache import write_once
 from multilight.scenes.assets.info import AssetInfo
+from multilight.scenes.colour import LUMINANCE_WEIGHTS, RGB_FROM_XYZ
 
 Float64 = NDArray[np.float64]
 
@@ -31,13 +32,6 @@ SKIES = (*(f"sky-{elevation}-{turbidity}" for elevation in ELEVATIONS for turbid
 GROUND = (0.16, 0.15, 0.13)
 """Reflectance of the ground that fills the map's lower half (linear Rec.709): dry soil and grass."""
 ROWS = 256
-
-RGB_FROM_XYZ = np.array(
-    [[3.2404542, -1.5371385, -0.4985314], [-0.9692660, 1.8760108, 0.0415560], [0.0556434, -0.2040259, 1.0572252]]
-)
-"""Linear Rec.709 from CIE XYZ, both with D65 white (IEC 61966-2-1)."""
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-"""Luminance of the Rec.709 primaries (ITU-R BT.709-6)."""
 
 # Rows A to E of the Perez function, slope and offset over turbidity, for Y, x and y.
 _PEREZ = np.array(
@@ -174,7 +168,7 @@ def sky_map(name: str) -> NDArray[np.float32]:
     else:
         elevation, turbidity = sky_parameters(name)
         image = clear_sky(directions, elevation=elevation, turbidity=turbidity)
-        own = float((image * weight).sum(axis=(0, 1)) @ LUMINANCE)
+        own = float((image * weight).sum(axis=(0, 1)) @ LUMINANCE_WEIGHTS)
         image *= sky_illuminance(elevation=elevation, turbidity=turbidity) / own
         beam = np.array(sun_illuminance(elevation=elevation, turbidity=turbidity)) * np.sin(elevation)
     ground = np.array(GROUND) / np.pi * ((image * weight).sum(axis=(0, 1)) + beam)
@@ -231,5 +225,5 @@ def _perez(row: Float64, cosine: ArrayLike, gamma: Float64) -> Float64:
 def _rgb(xyz: Float64) -> Float64:
     """Turn XYZ into linear Rec.709; what Rec.709 cannot show loses its negative channel and keeps its luminance."""
     rgb = np.maximum(xyz @ RGB_FROM_XYZ.T, 0.0)
-    luminance = rgb @ LUMINANCE
+    luminance = rgb @ LUMINANCE_WEIGHTS
     return np.asarray(rgb * (xyz[..., 1] / np.maximum(luminance, 1e-12))[..., None])

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from multilight.scenes.colour import srgb_decode
 from multilight.scenes.spec import Material, Rgb, Texture
 
 
@@ -94,8 +95,7 @@ def class_of(words: str, category: str) -> str | None:
 
 def linear(colour: ArrayLike) -> Rgb:
     """Decode sRGB values in [0, 1] to linear, kept within what real surfaces reflect (0.02 to 0.9)."""
-    values = np.clip(np.asarray(colour, np.float64)[:3], 0, 1)
-    values = np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
+    values = srgb_decode(np.asarray(colour, np.float64)[:3])
     r, g, b = (round(float(v), 5) for v in np.clip(values, 0.02, 0.9))
     return r, g, b
 

@@ -6,7 +6,8 @@ import numpy as np
 
 from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.assets.library import AssetLibrary
-from multilight.scenes.materials import GLOW, linear_from_hex, metres_per_uv, pick_texture, sample_material, textured
+from multilight.scenes.colour import linear_from_hex
+from multilight.scenes.materials import GLOW, metres_per_uv, pick_texture, sample_material, textured
 from multilight.scenes.meshes import Mesh, MeshPart
 from multilight.scenes.spec import Material
 

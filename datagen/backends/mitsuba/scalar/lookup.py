@@ -10,6 +10,7 @@ from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from multilight.datagen.backends.mitsuba.arrays import Textures, parts_of, place_part
 from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.colour import srgb_decode
 from multilight.scenes.spec import Material, SceneSpec, Texture
 
 Float64 = NDArray[np.float64]
@@ -113,7 +114,7 @@ class Lookup:
             albedo[mine], uv = material.base_color, at[mine, 6:]
             roughness[mine], metallic[mine] = material.roughness, material.metallic
             if material.base_color_texture is not None:
-                albedo[mine] *= linear_from_srgb(self._texture(material.base_color_texture, uv)[:, :3])
+                albedo[mine] *= srgb_decode(self._texture(material.base_color_texture, uv)[:, :3])
             if material.roughness_texture is not None:
                 roughness[mine] *= self._texture(material.roughness_texture, uv)[:, 0]
             if material.normal_texture is not None:
@@ -163,8 +164,3 @@ class Lookup:
         bumped = tangent * local[:, :1] + across * local[:, 1:2] + normal * local[:, 2:]
         bumped /= np.maximum(np.linalg.norm(bumped, axis=1, keepdims=True), 1e-20)
         return np.where((length > 0) & (determinant != 0), bumped, normal)
-
-
-def linear_from_srgb(c: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Decode sRGB (IEC 61966-2-1)."""
-    return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multilight.datagen.backends.mitsuba.arrays import Textures
-from multilight.datagen.backends.mitsuba.scalar.lookup import linear_from_srgb
+from multilight.scenes.colour import srgb_decode
 from multilight.scenes.frozen import Rgb
 from multilight.scenes.spec import Material, Texture
 
@@ -40,7 +40,7 @@ def coloured(texture: Texture | None, colour: Rgb, textures: Textures) -> dict[s
     """Multiply an sRGB-encoded texture, decoded, by a linear colour; the colour alone where there is no texture."""
     if texture is None:
         return {"type": "rgb", "value": list(colour)}
-    return _bitmap(linear_from_srgb(_texels(texture, textures)[..., :3]) * np.array(colour), texture)
+    return _bitmap(srgb_decode(_texels(texture, textures)[..., :3]) * np.array(colour), texture)
 
 
 def _principled(material: Material, base: dict[str, Any], textures: Textures) -> dict[str, Any]:

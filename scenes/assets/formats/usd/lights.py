@@ -20,6 +20,7 @@ from multilight.scenes.assets.formats.scene_file import FoundLight
 from multilight.scenes.assets.formats.usd.materials import inputs_of, open_picture, resolved_file, rgb_of
 from multilight.scenes.assets.info import AssetError
 from multilight.scenes.cameras.pinhole import matrix4
+from multilight.scenes.colour import srgb_decode
 
 Float64 = NDArray[np.float64]
 
@@ -93,7 +94,7 @@ def write_map(path: Path, file: Any, where: Any, target: Path) -> None:
     if file.path.lower().endswith((".hdr", ".tx")):
         raise AssetError(f"{path}: {where} names {file.path!r}; convert it to EXR")
     pixels = np.asarray(open_picture(path, file, where).convert("RGB"), np.float32) / 255
-    linear = np.where(pixels <= 0.04045, pixels / 12.92, ((pixels + 0.055) / 1.055) ** 2.4).astype(np.float32)
+    linear = srgb_decode(pixels).astype(np.float32)
     with OpenEXR.File({}, {"RGB": np.ascontiguousarray(linear)}) as picture:
         picture.write(str(target))
 
