@@ -9,9 +9,9 @@ from multilight.datagen.backends.blender.backend import BlenderBackend, _hidden
 from multilight.datagen.backends.blender.film import beauty_filter, render_passes
 from multilight.datagen.backends.blender.scene import place_camera
 from multilight.datagen.backends.protocol import RenderJob, RenderSettings
-from multilight.datagen.storage.layers import Float32
 from multilight.lights.rigs.sample import scaled
 from multilight.lights.spec import LightingCondition, LightRig
+from multilight.scenes.arrays import Float32
 from multilight.scenes.spec import SceneSpec
 
 

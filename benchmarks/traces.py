@@ -17,7 +17,6 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 import tyro
-from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 from scipy.stats import rankdata
 from torch import nn
@@ -29,9 +28,9 @@ from multilight.datagen.config.presets import Preset
 from multilight.datagen.production.denoise import denoise_all, denoise_without
 from multilight.datagen.production.scene import contact_faults, sample_scene
 from multilight.datagen.production.view import shown_in
-from multilight.datagen.storage.layers import Float32, LayerStack
-from multilight.datagen.verification.residuals import Mask
+from multilight.datagen.storage.layers import LayerStack
 from multilight.lights.spec import EmissiveLight, LightRig
+from multilight.scenes.arrays import Float32, Mask
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.spec import SceneSpec
 from multilight.scenes.streams import Streams
@@ -237,7 +236,7 @@ def _logarithm(layer: Float32) -> torch.Tensor:
     return torch.from_numpy(np.log(layer / middle + 0.02)).permute(2, 0, 1)
 
 
-def _area(scores: Float32, truth: NDArray[np.bool_]) -> float:
+def _area(scores: Float32, truth: Mask) -> float:
     """Area under the ROC curve, by the rank sum (Mann and Whitney 1947)."""
     ranks, positives = rankdata(scores).reshape(truth.shape), truth.sum()
     return float((ranks[truth].sum() - positives * (positives + 1) / 2) / (positives * (truth.size - positives)))

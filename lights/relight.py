@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multilight.lights.spec import LightingCondition
+from multilight.scenes.arrays import Float32
 
 
-def gain_matrix(lights: Sequence[str], condition: LightingCondition) -> NDArray[np.float32]:
+def gain_matrix(lights: Sequence[str], condition: LightingCondition) -> Float32:
     """Return the linear gain of each light and channel, exposure included: (L, 3) float32.
 
     A light that the condition does not name is off. Raises `ValueError` where the condition names a light that
@@ -22,7 +23,7 @@ def gain_matrix(lights: Sequence[str], condition: LightingCondition) -> NDArray[
     return (gains * 2.0**condition.exposure_ev).astype(np.float32)
 
 
-def mix(radiance: NDArray[np.floating], lights: Sequence[str], condition: LightingCondition) -> NDArray[np.float32]:
+def mix(radiance: NDArray[np.floating], lights: Sequence[str], condition: LightingCondition) -> Float32:
     """Light a view: the sum over lights of gain * layer * 2**ev.
 
     radiance (L, H, W, 3) linear Rec.709, any float type, one layer a light in the order of `lights`; returns

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.lib.npyio import NpzFile
 from numpy.typing import NDArray
 
+from multilight.scenes.arrays import Float32
 from multilight.scenes.files.whole import write_whole
 from multilight.scenes.frozen import Frozen
 from multilight.scenes.spec import Material, Rectangle, Sphere
@@ -22,10 +23,10 @@ class MeshPart:
     """
 
     name: str
-    vertices: NDArray[np.float32]
+    vertices: Float32
     faces: NDArray[np.int32]
-    normals: NDArray[np.float32]
-    uv: NDArray[np.float32]
+    normals: Float32
+    uv: Float32
     material: Material
 
 
@@ -35,11 +36,11 @@ class Mesh:
 
     parts: tuple[MeshPart, ...]
 
-    def vertices(self) -> NDArray[np.float32]:
+    def vertices(self) -> Float32:
         """Stack all parts' vertices, (N, 3) float32, metres."""
         return np.concatenate([part.vertices for part in self.parts])
 
-    def bounds(self) -> NDArray[np.float32]:
+    def bounds(self) -> Float32:
         """Return the lowest and the highest corner, (2, 3) float32, metres."""
         points = self.vertices()
         return np.stack([points.min(axis=0), points.max(axis=0)])

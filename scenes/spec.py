@@ -3,9 +3,9 @@
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
+from multilight.scenes.arrays import Float64
 from multilight.scenes.frozen import Frozen, Matrix4, Rgb, Slug, UnitFloat
 
 SceneKind = Literal["tabletop", "room", "outdoor", "studio", "custom", "spheres"]
@@ -112,11 +112,11 @@ class Camera(Frozen):
     aperture_radius: Annotated[float, Field(ge=0)] = 0.0
     focus_distance: PositiveFloat = 1.0
 
-    def intrinsics(self) -> NDArray[np.float64]:
+    def intrinsics(self) -> Float64:
         """Return K, 3x3, in pixels."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], dtype=np.float64)
 
-    def pose(self) -> NDArray[np.float64]:
+    def pose(self) -> Float64:
         """Return `c2w` as a 4x4 array (OpenGL camera axes to world, metres)."""
         return np.array(self.c2w, dtype=np.float64)
 

@@ -6,25 +6,27 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 
+from multilight.scenes.arrays import UInt8
+
 DEEPEST = 65.535
 """Metres that fit into 16 bits of millimetres; what is farther counts as unknown."""
 
 
-def png(pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
+def png(pixels: UInt8 | NDArray[np.uint16]) -> bytes:
     """Encode (H, W) grey of 8 or 16 bits, or (H, W, 3) uint8 RGB, as PNG."""
     stream = io.BytesIO()
     Image.fromarray(pixels).save(stream, "PNG")
     return stream.getvalue()
 
 
-def jpeg(pixels: NDArray[np.uint8], quality: int) -> bytes:
+def jpeg(pixels: UInt8, quality: int) -> bytes:
     """Encode (H, W, 3) uint8 RGB as JPEG, colours at full resolution."""
     stream = io.BytesIO()
     Image.fromarray(pixels).save(stream, "JPEG", quality=quality, subsampling=0)
     return stream.getvalue()
 
 
-def share_to_byte(share: ArrayLike) -> NDArray[np.uint8]:
+def share_to_byte(share: ArrayLike) -> UInt8:
     """Turn shares in [0, 1] into 8 bits."""
     return np.rint(np.clip(share, 0.0, 1.0) * 255.0).astype(np.uint8)
 

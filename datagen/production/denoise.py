@@ -17,9 +17,10 @@ from typing import Any, TypeVar
 import numpy as np
 from scipy.ndimage import binary_dilation, find_objects, gaussian_filter, label, uniform_filter
 
-from multilight.datagen.storage.layers import Float32, LayerStack
-from multilight.datagen.verification.residuals import LIMIT, Mask, residual
+from multilight.datagen.storage.layers import LayerStack
+from multilight.datagen.verification.residuals import LIMIT, residual
 from multilight.lights.display.tonemap import MIDDLE_GREY
+from multilight.scenes.arrays import Float32, Mask
 from multilight.scenes.colour import LUMINANCE_WEIGHTS
 
 AUTO_SPP = 2048  # samples a pixel at which raw layers were as near to a converged render as denoised ones

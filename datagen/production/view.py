@@ -8,11 +8,12 @@ import numpy as np
 from multilight.datagen.backends.protocol import Backend, RenderJob, RenderSettings
 from multilight.datagen.production.denoise import denoise_all, denoise_foreground, denoise_without, foreground_layers
 from multilight.datagen.production.stopwatch import Stopwatch
-from multilight.datagen.storage.layers import Float32, LayerStack
+from multilight.datagen.storage.layers import LayerStack
 from multilight.datagen.storage.records import LayerEnergy, Residuals
 from multilight.datagen.storage.store import ViewData
-from multilight.datagen.verification.residuals import Mask, noise_variance, residual
+from multilight.datagen.verification.residuals import noise_variance, residual
 from multilight.lights.spec import LightRig
+from multilight.scenes.arrays import Float32, Mask
 from multilight.scenes.spec import SceneSpec
 
 Stacks = dict[str, LayerStack]

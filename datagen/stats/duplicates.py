@@ -5,9 +5,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 from scipy.sparse import csr_matrix
+
+from multilight.scenes.arrays import Mask
 
 ALIKE = 0.75
 """Scenes share this part of what they are made of (Jaccard index) to count as near-duplicates."""
@@ -16,7 +17,7 @@ HASH_SIZE = (33, 8)
 DIFFERENT_BITS = 0.1
 """Previews whose hashes differ in at most this share of the bits count as near-duplicates."""
 
-Bits = NDArray[np.bool_]
+Bits = Mask
 
 
 @dataclass(frozen=True)

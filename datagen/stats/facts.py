@@ -4,13 +4,13 @@ from collections import defaultdict
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multilight.datagen.stats.quantities import Value
 from multilight.lights.photometry.irradiance import StillLife
 from multilight.lights.rigs.measure import LightMeasure, measure_light
 from multilight.lights.spec import EnvironmentLight, Light, LightRig
 from multilight.scenes.appearance import material_class
+from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.assets.splits import Split, asset_split
 from multilight.scenes.cameras.pinhole import focal_length_mm, pixel_rays, project
@@ -130,7 +130,7 @@ def _depth_range(camera: Camera, rays: SceneRays) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _extent(camera: Camera, points: NDArray[np.float64]) -> float:
+def _extent(camera: Camera, points: Float64) -> float:
     """Return the longer side of the box round projected points, over the picture's shorter side."""
     pixels, _ = project(camera, points)
     seen = pixels[np.isfinite(pixels).all(axis=1)]

@@ -3,17 +3,15 @@
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
 from multilight.datagen.errors import StoreError
 from multilight.datagen.stats.facts import Values
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.store import file_inside, file_sha256, read_view
+from multilight.scenes.arrays import Float64
 from multilight.scenes.colour import luminance
 from multilight.scenes.files.limits import open_picture
-
-Float64 = NDArray[np.float64]
 
 
 def read_preview(folder: Path, record: SceneRecord) -> Image.Image:

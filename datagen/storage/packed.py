@@ -17,10 +17,10 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from multilight.datagen.errors import StoreError
-from multilight.datagen.storage.layers import Float32
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.store import HALF_MAX, ViewData
 from multilight.lights.relight import gain_matrix
+from multilight.scenes.arrays import Float32, Float64
 
 TILE = 16
 FORMAT = "multilight packed view 2"
@@ -64,8 +64,8 @@ class PackedView:
     alpha: NDArray[np.float16] = field(repr=False)
     coverage: NDArray[np.int32] = field(repr=False)
     z_depth: Float32 = field(repr=False)
-    K: NDArray[np.float64] = field(repr=False)
-    c2w: NDArray[np.float64] = field(repr=False)
+    K: Float64 = field(repr=False)
+    c2w: Float64 = field(repr=False)
     conditions: Float32 = field(repr=False)
 
     def variant(self, name: str) -> NDArray[np.floating]:

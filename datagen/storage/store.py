@@ -25,8 +25,9 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from multilight.datagen.errors import StoreError
-from multilight.datagen.storage.layers import Float32, GeometryBuffers
+from multilight.datagen.storage.layers import GeometryBuffers
 from multilight.datagen.storage.records import DatasetRecord, SceneRecord
+from multilight.scenes.arrays import Float32
 from multilight.scenes.files.inside import OutsideError, held, inside
 from multilight.scenes.files.whole import write_whole
 

@@ -1,10 +1,10 @@
 """Tuples from layers: background, composite, target and effect under any lighting."""
 
 from multilight.datagen.errors import UserError
-from multilight.datagen.storage.layers import Float32
 from multilight.datagen.storage.store import ViewData
 from multilight.lights.relight import mix
 from multilight.lights.spec import LightingCondition
+from multilight.scenes.arrays import Float32
 
 
 def target(view: ViewData, lit: LightingCondition) -> Float32:

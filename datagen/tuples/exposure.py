@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from multilight.datagen.storage.layers import Float32
 from multilight.lights.display.tonemap import meter_ev
 from multilight.lights.relight import mix
 from multilight.lights.spec import LightingCondition
+from multilight.scenes.arrays import Float32
 from multilight.scenes.colour import luminance
 
 THUMBNAIL = 32  # pixels a side of the pictures that are metered

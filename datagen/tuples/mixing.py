@@ -12,7 +12,6 @@ from pydantic import ValidationError
 
 from multilight.datagen.errors import UserError
 from multilight.datagen.files.outputs import check_file, written
-from multilight.datagen.storage.layers import Float32
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.source import open_dataset
 from multilight.datagen.storage.store import ViewData
@@ -22,6 +21,7 @@ from multilight.datagen.tuples.sheet import effect_picture
 from multilight.lights.conditions import random_condition
 from multilight.lights.display.tonemap import to_display
 from multilight.lights.spec import LightingCondition
+from multilight.scenes.arrays import Float32
 from multilight.scenes.files.limits import read_text, shown
 from multilight.scenes.streams import Streams
 

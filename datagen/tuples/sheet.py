@@ -5,22 +5,21 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from multilight.datagen.storage.layers import Float32
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.source import DatasetSource
 from multilight.datagen.storage.store import ViewData, read_view
 from multilight.datagen.tuples import compose
 from multilight.lights.display.tonemap import to_display
 from multilight.lights.spec import LightingCondition
+from multilight.scenes.arrays import Float32, UInt8
 
 COLUMNS = ("background", "composite", "target", "z_depth", "effect")
 MARGIN, HEADER = 6, 20
 SHOWN = 0.01
 """Share of a picture that its largest insertable object should cover to be looked at."""
-Pixels = NDArray[np.uint8]
+Pixels = UInt8
 
 
 def depth_picture(z_depth: Float32) -> Pixels:

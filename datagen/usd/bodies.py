@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pxr import Gf, Sdf, UsdGeom, UsdShade, Vt
 
 from multilight.datagen.errors import UserError
@@ -13,6 +12,7 @@ from multilight.datagen.storage.records import AssetCredit
 from multilight.datagen.usd.layout import own
 from multilight.datagen.usd.materials import Materials
 from multilight.lights.spec import EmissiveLight
+from multilight.scenes.arrays import Float32, Int64
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.meshes import MeshPart, rectangle_part, sphere_part
 from multilight.scenes.spec import Body, MeshAsset, Rectangle, Sphere
@@ -70,7 +70,7 @@ def add_body(
 
 
 def _bind(
-    mesh: Any, body: Body, counts: NDArray[np.int64], materials: Materials, glows: dict[int, EmissiveLight]
+    mesh: Any, body: Body, counts: Int64, materials: Materials, glows: dict[int, EmissiveLight]
 ) -> dict[int, str]:
     shaders = [materials.get(material, glows.get(part)) for part, material in enumerate(body.materials)]
     if len(shaders) == 1:
@@ -128,5 +128,5 @@ def geometry_digest(mesh: Any) -> str:
     return digest.hexdigest()
 
 
-def _vectors(kind: Any, values: NDArray[np.float32]) -> Any:
+def _vectors(kind: Any, values: Float32) -> Any:
     return kind.FromNumpy(np.ascontiguousarray(values, np.float32))

@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
-from multilight.datagen.storage.layers import Float32
+from multilight.scenes.arrays import Float32, Float64, Mask
 
-Mask = NDArray[np.bool_]
-Blocks = NDArray[np.float64]
+Blocks = Float64
 
 SIDES = (8, 16, 32)  # pixels
 LEAST = 0.25  # of a block's pixels must count, else it is left out
@@ -83,7 +82,7 @@ def _joined(blocks: Blocks) -> Blocks:
     return blocks.reshape(rows // 2, 2, columns // 2, 2, channels).sum(axis=(1, 3))
 
 
-def noise_variance(image: Float32) -> NDArray[np.float64]:
+def noise_variance(image: Float32) -> Float64:
     """Estimate the noise variance of an (H, W, 3) render's pixels (mean over channels), (H, W).
 
     It is the square of a pixel's distance from its four neighbours' mean, less what those add (Immerkær 1996 has

@@ -12,13 +12,13 @@ import numpy as np
 from scipy.ndimage import binary_erosion
 
 from multilight.datagen.errors import StoreError
-from multilight.datagen.storage.layers import Float32
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.store import ViewData, as_stored, file_inside, file_sha256, read_scene, read_view
 from multilight.datagen.tuples import compose
 from multilight.datagen.tuples.exposure import BRIGHT, DARK
 from multilight.datagen.verification.residuals import SIDES, residual
 from multilight.lights.spec import LightingCondition
+from multilight.scenes.arrays import Float32
 from multilight.scenes.cameras.pinhole import reprojection_error
 from multilight.scenes.colour import luminance
 

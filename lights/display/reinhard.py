@@ -8,7 +8,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from multilight.scenes.arrays import UInt8
 
 OFFSET = -2.0
 """Exposure of step -1 over the pictures' key, in natural logarithm (one stop is 0.69)."""
@@ -54,7 +56,7 @@ def join(views: Sequence[ViewMetering]) -> Metering:
     return Metering(float(np.mean(keys)), max(view.white for view in views))
 
 
-def tone_map(radiance: ArrayLike, metering: Metering, step: int) -> NDArray[np.uint8]:
+def tone_map(radiance: ArrayLike, metering: Metering, step: int) -> UInt8:
     """Tone-map linear radiance (..., 3) at exposure `step` to 8 bits, cut off (not rounded) as published.
 
     x' = x e^ev, w = white e^ev, y = x' (1 + x' / w^2) / (1 + x'): white comes out as 1, more is clipped.

@@ -1,8 +1,9 @@
 """From scene-linear radiance to what a screen shows: transfer curve, exposure metering, tone curve."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from multilight.scenes.arrays import Float32, Mask, UInt8
 from multilight.scenes.colour import luminance, srgb_encode
 
 MIDDLE_GREY = 0.18
@@ -12,7 +13,7 @@ HIGHLIGHT_LIMIT = 1.5
 """Metering keeps the 97th percentile of luminance below this where it can: brighter means near-white."""
 
 
-def tone_curve(radiance: ArrayLike) -> NDArray[np.float32]:
+def tone_curve(radiance: ArrayLike) -> Float32:
     """Compress linear Rec.709 (..., 3) into [0, 1], linear; negative values count as black.
 
     The highlight compression of the Khronos PBR Neutral tone mapper (2024), which was made for product pictures:
@@ -31,7 +32,7 @@ def tone_curve(radiance: ArrayLike) -> NDArray[np.float32]:
     return np.where(peak <= shoulder, rgb, rgb * (new_peak / bright) * kept + new_peak * (1.0 - kept))
 
 
-def to_display(radiance: ArrayLike, exposure_ev: float = 0.0) -> NDArray[np.uint8]:
+def to_display(radiance: ArrayLike, exposure_ev: float = 0.0) -> UInt8:
     """Turn linear Rec.709 radiance (..., 3) into 8-bit sRGB: exposure, tone curve, transfer curve.
 
     Values that are not finite show as black (NaN, -inf) or white (inf).
@@ -44,7 +45,7 @@ def to_display(radiance: ArrayLike, exposure_ev: float = 0.0) -> NDArray[np.uint
     return np.rint(srgb_encode(tone_curve(exposed)) * 255.0).astype(np.uint8)
 
 
-def meter_ev(radiance: ArrayLike, mask: NDArray[np.bool_] | None = None) -> float:
+def meter_ev(radiance: ArrayLike, mask: Mask | None = None) -> float:
     """Return the exposure in EV that brings a picture's key to middle grey.
 
     The key is the log-mean luminance of radiance (..., 3) over the lit pixels of `mask` (all, unless told), each

@@ -8,9 +8,9 @@ from functools import lru_cache
 from types import ModuleType
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multilight.lights.photometry.radiometry import rgb_from_scalar
+from multilight.scenes.arrays import Float64
 from multilight.scenes.colour import srgb_decode
 from multilight.scenes.frozen import Rgb
 
@@ -125,7 +125,7 @@ def _temperature_to_xy(kelvin: float) -> tuple[float, float]:
 
 
 @lru_cache(maxsize=1)
-def _locus() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _locus() -> tuple[Float64, Float64]:
     """Return reciprocal temperatures (N,) [1/MK] in even steps and the CIE 1960 uv of their white light, (N, 2)."""
     mired = np.linspace(1e6 / HOTTEST, 1e6 / EMBERS, 49)
     xy = np.array([temperature_to_xy(min(float(1e6 / m), HOTTEST)) for m in mired])

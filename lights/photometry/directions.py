@@ -1,9 +1,9 @@
 """Where lights point: directions from angles, and the one frame of a spot that every renderer projects its gobo in."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Float64 = NDArray[np.float64]
+from multilight.scenes.arrays import Float64
 
 _STEEP = 1e-6
 """Where the horizontal part of a direction is shorter than this share of it, world up says nothing."""

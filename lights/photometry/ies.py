@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-Float64 = NDArray[np.float64]
+from multilight.scenes.arrays import Float64
 
 SAMPLES = 181
 """Angles of a profile: one a degree, 0 to 180."""

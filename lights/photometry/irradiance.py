@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
 from multilight.lights.spec import AreaLight, EmissiveLight, EnvironmentLight, Light, PointLight, SpotLight, SunLight
+from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.environments import read_environment
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.colour import luminance
@@ -20,7 +20,6 @@ SKY_ROWS = 32
 GLOW_DISTANCE = 0.2
 """Where the glow of an emissive body is measured: on the table, this far [m] from its middle."""
 
-Float64 = NDArray[np.float64]
 Meter = Callable[[Float64], Float64]
 """Weighs light by the cosine of its direction to the vertical."""
 

@@ -5,7 +5,6 @@ import re
 from typing import Any, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multilight.lights.photometry.irradiance import StillLife
 from multilight.lights.photometry.radiometry import watts_from_photometric
@@ -22,6 +21,7 @@ from multilight.lights.spec import (
     SpotLight,
     SunLight,
 )
+from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.formats.scene_file import FoundLight
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.cameras.pinhole import matrix4
@@ -37,8 +37,6 @@ MOST = 16
 """Layers that a background's lights may take: of more, those that give most at the still life."""
 DARK = 5.0
 """Illuminance [lx] at the still life below which a background counts as unlit there."""
-
-Float64 = NDArray[np.float64]
 
 
 def custom_rig(rng: np.random.Generator, place: StillLife, design: RigDesign, *, lights: tuple[int, int]) -> LightRig:

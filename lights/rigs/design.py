@@ -3,9 +3,9 @@
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from multilight.scenes.arrays import Float64
 from multilight.scenes.frozen import Frozen
 from multilight.scenes.streams import Streams
 
@@ -74,7 +74,7 @@ def rig_design(streams: Streams) -> RigDesign:
     )
 
 
-def _point(streams: Streams) -> NDArray[np.float64]:
+def _point(streams: Streams) -> Float64:
     """Return the scene's point in the unit cube, (_AXES,)."""
     if streams.attempt > 0:
         return streams("rig_design").random(_AXES)

@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multilight.lights.photometry.colour import gel_rgb, random_gel, temperature_to_rgb
 from multilight.lights.photometry.directions import direction_from
@@ -17,6 +16,7 @@ from multilight.lights.photometry.radiometry import (
     spot_solid_angle,
 )
 from multilight.lights.spec import AreaLight, PointLight, SpotLight
+from multilight.scenes.arrays import Float64
 from multilight.scenes.cameras.pinhole import look_at, matrix4
 from multilight.scenes.frozen import Rgb, Vector3
 
@@ -33,8 +33,6 @@ LARGEST = 1.6
 """Longest side of a lamp [m]: a large softbox."""
 BEAMS = ("downlight_narrow", "downlight_medium", "downlight_wide", "batwing", "pendant_shade", "bare_bulb")
 """Luminaires that shine along their axis, and so can be aimed."""
-
-Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

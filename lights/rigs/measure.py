@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multilight.lights.photometry.angular_size import angular_diameter
 from multilight.lights.photometry.colour import temperature_of
@@ -19,12 +18,11 @@ from multilight.lights.spec import (
     SpotLight,
     SunLight,
 )
+from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.colour import luminance
 from multilight.scenes.frozen import Rgb
 from multilight.scenes.spec import SceneSpec
-
-Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ purpose, scaled so that together they light the floor like a living room; screen
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multilight.lights.photometry.colour import gel_rgb, random_gel, temperature_to_rgb
 from multilight.lights.photometry.radiometry import (
@@ -21,6 +20,7 @@ from multilight.lights.rigs.design import rig_design
 from multilight.lights.rigs.lamps import log_uniform
 from multilight.lights.rigs.windows import daylight, sunlight
 from multilight.lights.spec import AreaLight, EmissiveLight, Light, LightRig, SpotLight
+from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.cameras.pinhole import matrix4
 from multilight.scenes.colour import luminance
@@ -50,8 +50,6 @@ GELS = 0.05
 SCREEN_NITS = (90.0, 350.0)
 """Luminance of screens [cd/m²]."""
 _FLAMES = ("flame", "vela")
-
-Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

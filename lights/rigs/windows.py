@@ -1,13 +1,13 @@
 """Daylight through the windows of a room: sky or a photographed place outside, and the sun."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multilight.lights.photometry.colour import temperature_to_rgb
 from multilight.lights.photometry.irradiance import map_directions, small_map
 from multilight.lights.photometry.radiometry import rgb_from_scalar, watts_from_photometric
 from multilight.lights.rigs.lamps import log_uniform
 from multilight.lights.spec import EnvironmentLight, SunLight
+from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.colour import luminance
 from multilight.scenes.spec import Body
@@ -16,8 +16,6 @@ SUN_RATIO = (1.0, 5.0)
 """Illuminance of sunlight, facing it, against that of the sky on the window."""
 SKY_SHARE = 0.15
 """Share of the rooms high above everything, with nothing but sky before the windows."""
-
-Float64 = NDArray[np.float64]
 
 
 def daylight(rng: np.random.Generator, windows: list[Body], library: AssetLibrary, lux: float) -> EnvironmentLight:

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 from PIL import Image
 
 from multilight.datagen.errors import UserError
+from multilight.scenes.arrays import Float32, Float64
 from multilight.scenes.assets.formats.beside import load_scene
 from multilight.scenes.assets.formats.cleaning import Z_UP_FROM_Y_UP, clean_mesh, transformed
 from multilight.scenes.assets.formats.gltf import raw_part
@@ -18,9 +18,6 @@ from multilight.scenes.colour import srgb_decode
 from multilight.scenes.files.limits import open_picture
 from multilight.scenes.meshes import Mesh
 from multilight.scenes.spec import Texture
-
-Float32 = NDArray[np.float32]
-Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

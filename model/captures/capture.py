@@ -5,17 +5,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multilight.datagen.errors import UserError
 from multilight.model.captures.lenses import Lens, undistorted
 from multilight.model.inference.pictures import read_depth, resized
+from multilight.scenes.arrays import Float32, Float64, Int64
 from multilight.scenes.cameras.pinhole import matrix4, reprojection_error
 from multilight.scenes.files.limits import open_picture
 from multilight.scenes.spec import Camera
-
-Float32 = NDArray[np.float32]
-Float64 = NDArray[np.float64]
 
 ALIKE = 0.02
 """Relative difference of proportions up to which pictures are brought to one size."""
@@ -50,7 +47,7 @@ class Capture:
     images: Float32
     z_depths: Float32 | None
     points: Float64
-    seen: tuple[NDArray[np.int64], ...] | None = None
+    seen: tuple[Int64, ...] | None = None
 
     @property
     def eyes(self) -> Float64:
@@ -64,7 +61,7 @@ def load_shots(
     *,
     max_side: int,
     points: Float64 | None = None,
-    seen: tuple[NDArray[np.int64], ...] | None = None,
+    seen: tuple[Int64, ...] | None = None,
 ) -> Capture:
     """Read pictures and depth, take lens distortion out, and bring all to one size of at most `max_side` pixels.
 

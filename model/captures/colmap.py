@@ -5,15 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pycolmap
-from numpy.typing import NDArray
 
 from multilight.datagen.errors import UserError
 from multilight.model.captures.capture import Capture, Shot, load_shots
 from multilight.model.captures.lenses import Lens
+from multilight.scenes.arrays import Float32
 from multilight.scenes.cameras.pinhole import opencv_from_opengl
 from multilight.scenes.files.inside import OutsideError, inside
-
-Float64 = NDArray[np.float64]
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")
 MODELS = ("sparse/0", "sparse", "colmap/sparse/0", ".")
@@ -161,7 +159,7 @@ def _depth(folder: Path, name: str) -> tuple[Path | None, float]:
     return None, 1.0
 
 
-def read_dense(path: Path) -> NDArray[np.float32]:
+def read_dense(path: Path) -> Float32:
     """Read one of COLMAP's depth maps: (H, W) float32 in the model's unit, 0 where unknown."""
     depth = pycolmap.DepthMap()
     try:

@@ -4,17 +4,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multilight.datagen.errors import UserError
 from multilight.model.captures.capture import Capture
+from multilight.scenes.arrays import Float32, Float64
 from multilight.scenes.cameras.pinhole import project
 from multilight.scenes.gaussians.ply import read_gaussians
 from multilight.scenes.gaussians.splatting import blending_weights
 from multilight.scenes.spec import Camera
-
-Float32 = NDArray[np.float32]
-Float64 = NDArray[np.float64]
 
 LEAST_POINTS = 12
 """Sparse points that a view must see for its depth to be aligned."""

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from multilight.datagen.errors import UserError
@@ -19,9 +18,9 @@ from multilight.model.inference.depth import depth_from_metres
 from multilight.model.inference.harmonize import harmonize
 from multilight.model.networks.compositing2d import Compositing2D
 from multilight.model.networks.compositing3d import Compositing3D, SceneNetwork, harmonize_scene
+from multilight.scenes.arrays import Float32
 from multilight.scenes.gaussians.from_views import Gaussians
 
-Float32 = NDArray[np.float32]
 Report = Callable[[int, int], None]
 
 LEAST_SEEN = 16

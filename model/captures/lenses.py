@@ -3,15 +3,12 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from multilight.datagen.errors import UserError
+from multilight.scenes.arrays import Float32, Float64
 from multilight.scenes.cameras.pinhole import matrix4
 from multilight.scenes.spec import Camera
-
-Float32 = NDArray[np.float32]
-Float64 = NDArray[np.float64]
 
 ONE_FOCAL = {"SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"}
 """COLMAP's models with one focal length for both axes."""

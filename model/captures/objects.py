@@ -3,18 +3,15 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from trimesh import Trimesh
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from multilight.model.captures.assets import Asset
+from multilight.scenes.arrays import Float32, Float64, Int64
 from multilight.scenes.cameras.pinhole import pixel_rays, project
 from multilight.scenes.colour import srgb_decode, srgb_encode
 from multilight.scenes.meshes import MeshPart
 from multilight.scenes.spec import Camera
-
-Float32 = NDArray[np.float32]
-Float64 = NDArray[np.float64]
 
 GRID = 3
 """Rays a side in each pixel; odd, so that one goes through its centre."""
@@ -94,7 +91,7 @@ class PlacedObject:
         high = np.clip(np.ceil(pixels.max(axis=0)), 0, size).astype(int)
         return slice(low[1], high[1]), slice(low[0], high[0])
 
-    def _cast(self, origins: Float64, ways: Float64) -> tuple[NDArray[np.int64], Float64, Float64]:
+    def _cast(self, origins: Float64, ways: Float64) -> tuple[Int64, Float64, Float64]:
         """Return for each ray the face hit first (-1: none), its distance, and the radiance (N, 3) towards it."""
         face = np.asarray(self._tracer.intersects_first(origins, ways), np.int64)
         distance, colour = np.full(len(face), np.inf), np.zeros((len(face), 3))
@@ -116,7 +113,7 @@ class PlacedObject:
         colour[hit] = albedo * (AMBIENT + FROM_CAMERA * head_on)[:, None]
         return face, distance, colour
 
-    def _albedo(self, parts: NDArray[np.int64], uv: Float64) -> Float64:
+    def _albedo(self, parts: Int64, uv: Float64) -> Float64:
         found = np.zeros((len(parts), 3))
         for number, part in enumerate(self.asset.mesh.parts):
             mine = parts == number

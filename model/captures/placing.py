@@ -6,16 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from multilight.datagen.errors import UserError
 from multilight.model.captures.assets import Asset
 from multilight.model.captures.capture import Capture
 from multilight.model.captures.planes import find_plane, free_place, scene_centre, scene_up
+from multilight.scenes.arrays import Float64
 from multilight.scenes.files.limits import parse_json, read_text
-
-Float64 = NDArray[np.float64]
 
 SHARES = (0.2, 0.15, 0.11, 0.08, 0.06)
 """Share of the pictures' width that the object takes at the scene's centre, unless its scale is given: the first that

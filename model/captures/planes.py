@@ -3,14 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from multilight.datagen.errors import UserError
 from multilight.model.captures.capture import Capture
+from multilight.scenes.arrays import Float64
 from multilight.scenes.cameras.pinhole import unproject
-
-Float64 = NDArray[np.float64]
 
 TRIALS = 1000
 TILT = np.deg2rad(30.0)

@@ -6,15 +6,13 @@ There the change that the 3D stage makes is taken from around, on the same side 
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from multilight.model.gaussians.splat_scene import SplatScene
 from multilight.model.networks.compositing3d import FLOOR
+from multilight.scenes.arrays import Float32
 from multilight.scenes.colour import srgb_decode, srgb_encode
 from multilight.scenes.spec import Camera
-
-Float32 = NDArray[np.float32]
 
 RIGHT, WRONG = 0.01, 0.03
 """Relative error of the depth that Gaussians show, up to which a pixel is believed, and from which on it is not."""

@@ -6,17 +6,14 @@ from pathlib import Path
 
 import imageio_ffmpeg
 import numpy as np
-from numpy.typing import NDArray
 
 from multilight.datagen.errors import UserError
 from multilight.model.inference.pictures import to_bytes
+from multilight.scenes.arrays import Float32, Float64
 from multilight.scenes.cameras.pinhole import look_at, matrix4
 from multilight.scenes.gaussians.from_views import Gaussians
 from multilight.scenes.gaussians.splatting import blending_weights
 from multilight.scenes.spec import Camera
-
-Float32 = NDArray[np.float32]
-Float64 = NDArray[np.float64]
 
 FPS = 24
 GAP = np.deg2rad(120.0)

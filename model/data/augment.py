@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from multilight.datagen.storage.layers import Float32
+from multilight.scenes.arrays import Float32, Float64
 
 EXPOSURE, WHITE_BALANCE = 0.5, 0.12
 """Ranges: exposure in EV; white balance as the natural logarithm of the red and blue gains against green."""
@@ -100,9 +100,7 @@ def resize(picture: Tensor, size: int, *, nearest: bool = False) -> Tensor:
     return functional.interpolate(picture[None], size=(size, size), mode="bilinear", antialias=shrinks)[0]
 
 
-def reframe_camera(
-    intrinsics: NDArray[np.float64], c2w: NDArray[np.float64], frame: Frame, size: int
-) -> tuple[Float32, Float32]:
+def reframe_camera(intrinsics: Float64, c2w: Float64, frame: Frame, size: int) -> tuple[Float32, Float32]:
     """Return K (3, 3) and c2w (4, 4) of the reframed picture, float32.
 
     A mirrored picture is that of the world mirrored in the plane x = 0, seen by the mirrored camera: c2w' = M c2w M

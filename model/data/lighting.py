@@ -5,11 +5,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from multilight.datagen.storage.layers import Float32
 from multilight.datagen.storage.packed import TILE, PackedView
 from multilight.lights.conditions import EXPOSURE, GAIN
 from multilight.lights.display.tonemap import meter_ev
 from multilight.lights.photometry.colour import GELS, gel_rgb, temperature_to_rgb
+from multilight.scenes.arrays import Float32
 from multilight.scenes.colour import luminance
 
 ONE, TWO = 0.2, 0.15

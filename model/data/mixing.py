@@ -8,9 +8,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from multilight.datagen.storage.layers import Float32
 from multilight.datagen.storage.packed import SAME, TILE, PackedView
 from multilight.model.data.augment import Camera, respond
+from multilight.scenes.arrays import Float32, Int64
 from multilight.scenes.colour import srgb_encode
 
 
@@ -92,7 +92,7 @@ class _Layers:
             total.addcmul_(layer.copy_(self._all[light]), torch.from_numpy(gains[light]).view(3, 1, 1))
         return total
 
-    def mixed_tiles(self, numbers: NDArray[np.int32], gains: Float32, tiles: NDArray[np.int64]) -> Tensor:
+    def mixed_tiles(self, numbers: NDArray[np.int32], gains: Float32, tiles: Int64) -> Tensor:
         """Mix some tiles of the variant whose table is `numbers` (L, T): (len(tiles), 3, 16, 16)."""
         total = torch.zeros(len(tiles), 3, TILE, TILE)
         for light in np.flatnonzero(gains.any(axis=1)):

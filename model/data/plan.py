@@ -5,10 +5,10 @@ from functools import lru_cache
 
 import numpy as np
 import polars as pl
-from numpy.typing import NDArray
 
 from multilight.datagen.errors import UserError
 from multilight.model.data.settings import SampleSettings
+from multilight.scenes.arrays import Int64
 
 
 @dataclass(frozen=True)
@@ -104,5 +104,5 @@ def _views(place: Place, count: int, rng: np.random.Generator) -> tuple[int, ...
 
 
 @lru_cache(maxsize=8)
-def _order(seed: int, epoch: int, lap: int, count: int) -> NDArray[np.int64]:
+def _order(seed: int, epoch: int, lap: int, count: int) -> Int64:
     return generator(seed, epoch, lap, 0).permutation(count)

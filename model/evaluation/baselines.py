@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
+from multilight.scenes.arrays import Float32, Float64, Mask
 from multilight.scenes.colour import XYZ_FROM_RGB, srgb_decode, srgb_encode
 
-Float32 = NDArray[np.float32]
-Float64 = NDArray[np.float64]
 Baseline = Callable[[Float32, Float32, Float32], Float32]
 
 _WHITE = XYZ_FROM_RGB.sum(axis=1)
@@ -73,9 +72,7 @@ def poisson_blend(composite: Float32, background: Float32, mask: Float32) -> Flo
     return np.clip(result, 0.0, 1.0).astype(np.float32)
 
 
-def _poisson_equation(
-    source: Float64, background: Float64, inside: NDArray[np.bool_]
-) -> tuple[sparse.csc_matrix, Float64]:
+def _poisson_equation(source: Float64, background: Float64, inside: Mask) -> tuple[sparse.csc_matrix, Float64]:
     """Return the matrix (N, N) and right-hand sides (N, 3) for the N pixels inside."""
     size = int(np.count_nonzero(inside))
     number = np.full(inside.shape, -1)
@@ -93,7 +90,7 @@ def _poisson_equation(
     return sum(every).tocsc(), right
 
 
-def with_colours_of(picture: Float32, inside: NDArray[np.bool_], pixels: Float32) -> Float64:
+def with_colours_of(picture: Float32, inside: Mask, pixels: Float32) -> Float64:
     """Shift and scale a picture (H, W, 3) in CIELAB: its pixels inside get the mean and spread of others, (N, 3)."""
     lab, wanted = lab_from_srgb(picture), lab_from_srgb(pixels)
     mean, spread = lab[inside].mean(axis=0), lab[inside].std(axis=0)
@@ -124,7 +121,7 @@ def srgb_from_lab(lab: Float64) -> Float64:
     return np.asarray(srgb_encode(xyz @ np.linalg.inv(XYZ_FROM_RGB).T), np.float64)
 
 
-def _pixels(mask: Float32) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _pixels(mask: Float32) -> tuple[Mask, Mask]:
     """Return the pixels that are the object's, and those that are not at all."""
     return mask > 0.5, mask < 0.5 / 255.0
 

@@ -19,12 +19,11 @@ from multilight.model.data.lighting import lit_conditions
 from multilight.model.data.plan import Draw
 from multilight.model.data.settings import SampleSettings
 from multilight.scenes.appearance import is_mirror, material_class
+from multilight.scenes.arrays import Float32, Mask
 from multilight.scenes.assets.splits import Split
 from multilight.scenes.cameras.pinhole import matrix4
 from multilight.scenes.colour import luminance
 from multilight.scenes.spec import Camera
-
-Float32 = NDArray[np.float32]
 
 MOST_VIEWS = 4
 """Views of a scene that are shown under one lighting."""
@@ -50,7 +49,7 @@ class Case:
     mask: Float32 = field(repr=False)
     target: Float32 | None = field(default=None, repr=False)
     effect: Float32 | None = field(default=None, repr=False)
-    valid: NDArray[np.bool_] | None = field(default=None, repr=False)
+    valid: Mask | None = field(default=None, repr=False)
     fit_exposure: bool = False
 
 

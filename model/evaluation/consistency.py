@@ -5,14 +5,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
+from multilight.scenes.arrays import Float32, Float64, Mask
 from multilight.scenes.cameras.pinhole import project, unproject
 from multilight.scenes.spec import Camera
-
-Float32 = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 
 TOLERANCE = 0.01
 """Relative difference of depth up to which a point counts as seen in the other view."""
@@ -27,7 +24,7 @@ class Pair:
     first: int
     second: int
     seen: Mask
-    pixels: NDArray[np.float64]
+    pixels: Float64
 
 
 def shared_pairs(cameras: Sequence[Camera], depths: Sequence[Float32], regions: Sequence[Mask]) -> list[Pair]:
@@ -56,9 +53,7 @@ def disagreement(pictures: Sequence[Float32], pairs: Sequence[Pair]) -> float:
     return float(np.mean(found)) if found else float("nan")
 
 
-def shared_pixels(
-    camera_a: Camera, depth_a: Float32, camera_b: Camera, depth_b: Float32
-) -> tuple[Mask, NDArray[np.float64]]:
+def shared_pixels(camera_a: Camera, depth_a: Float32, camera_b: Camera, depth_b: Float32) -> tuple[Mask, Float64]:
     """Return the pixels (H, W) of view a that view b sees, and where it sees each: (N, 2) pixels x, y of b.
 
     A point counts as seen where all four of b's pixels around it have its depth, within `TOLERANCE`.
@@ -76,7 +71,7 @@ def shared_pixels(
     return found, pixels[inside]
 
 
-def sample(picture: Float32, pixels: NDArray[np.float64]) -> Float32:
+def sample(picture: Float32, pixels: Float64) -> Float32:
     """Look up a picture (H, W, 3) at pixels (N, 2) x, y, bilinearly: (N, 3)."""
     places = pixels[:, ::-1].T - 0.5
     channels = [ndimage.map_coordinates(picture[..., c], places, order=1, mode="nearest") for c in range(3)]

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from multilight.datagen.errors import UserError
@@ -13,10 +12,9 @@ from multilight.model.evaluation.baselines import poisson_blend
 from multilight.model.evaluation.cases import Case, Group, LazyGroup
 from multilight.model.inference.depth import DepthModel, guessed_depth
 from multilight.model.inference.pictures import read_mask, read_picture, resized
+from multilight.scenes.arrays import Float32
 from multilight.scenes.files.inside import OutsideError, inside
 from multilight.scenes.files.limits import read_json, read_text
-
-Float32 = NDArray[np.float32]
 
 DIFFERS = 4.0 / 255.0
 """Difference in any channel, as displayed, from which on a composite shows the object where a set has no masks."""

@@ -6,12 +6,11 @@ from pathlib import Path
 import numpy as np
 import torch
 import torchmetrics
-from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from multilight.datagen.errors import UserError
+from multilight.scenes.arrays import Float32
 
-Float32 = NDArray[np.float32]
 _VGG16 = ((0, 2), (5, 7), (10, 12, 14), (17, 19, 21), (24, 26, 28))
 _ALEX = ((0,), (3,), (6,), (8,), (10,))
 """Numbers of the convolutions in torchvision's `features`, by the stage after whose last one LPIPS looks."""

@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from multilight.model.evaluation.cases import Case, Group
 from multilight.model.gaussians.refine import refined_scene
@@ -13,8 +12,7 @@ from multilight.model.inference.harmonize import chosen_device, harmonize
 from multilight.model.networks.checkpoint import load_network, load_network3d
 from multilight.model.networks.compositing2d import Compositing2D
 from multilight.model.networks.compositing3d import SceneNetwork, harmonize_scene
-
-Float32 = NDArray[np.float32]
+from multilight.scenes.arrays import Float32
 
 SIDE = 256  # cells a side of the map: 65,536 Gaussians
 

@@ -10,14 +10,11 @@ from dataclasses import dataclass
 import flip_evaluator
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torchmetrics.functional.image import structural_similarity_index_measure
 
 from multilight.datagen.errors import UserError
 from multilight.model.evaluation.lpips import Lpips
-
-Float32 = NDArray[np.float32]
-Mask = NDArray[np.bool_]
+from multilight.scenes.arrays import Float32, Mask
 
 EFFECT = 0.02
 """Least |effect| in any channel, as displayed, that counts as a shadow, reflection or glow: five grey levels of 255."""

@@ -5,7 +5,6 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multilight.datagen.errors import UserError
 from multilight.model.evaluation.baselines import with_colours_of
@@ -21,10 +20,8 @@ from multilight.model.evaluation.foscom import (
 from multilight.model.evaluation.run import GAMMA
 from multilight.model.inference.depth import DepthModel
 from multilight.model.inference.pictures import read_mask, read_picture
+from multilight.scenes.arrays import Float32, Float64
 from multilight.scenes.files.limits import read_text
-
-Float32 = NDArray[np.float32]
-Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

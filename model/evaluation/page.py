@@ -17,9 +17,10 @@ from multilight.datagen.files.outputs import check_folder
 from multilight.datagen.storage.store import write_text
 from multilight.datagen.text import markdown as escaped
 from multilight.datagen.text import page
-from multilight.model.evaluation.metrics import HIGHER_IS_BETTER, METRICS, REGIONS, Float32, Scores
+from multilight.model.evaluation.metrics import HIGHER_IS_BETTER, METRICS, REGIONS, Scores
 from multilight.model.evaluation.run import JUDGED_BY, Evaluation, Shown
 from multilight.model.inference.pictures import to_bytes
+from multilight.scenes.arrays import Float32
 
 DIGITS = {"PSNR": 2, "SSIM": 4, "FLIP": 4, "LPIPS": 4}
 UNITS = {

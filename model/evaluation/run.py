@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from multilight.model.evaluation.baselines import BASELINES, Baseline
 from multilight.model.evaluation.cases import Case, Group, LazyGroup
@@ -18,8 +17,8 @@ from multilight.model.evaluation.lpips import Lpips
 from multilight.model.evaluation.method3d import SceneMethod
 from multilight.model.evaluation.metrics import Regions, Scores, mean_scores, measure
 from multilight.model.inference.harmonize import Harmonizer
+from multilight.scenes.arrays import Float32
 
-Float32 = NDArray[np.float32]
 Method = Callable[[Case], Float32]
 """A way to harmonize a case: its picture, (H, W, 3) float32 in [0, 1]."""
 

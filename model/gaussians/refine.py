@@ -14,17 +14,15 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
 from multilight.model.gaussians.splat_scene import SplatScene, reshaped
+from multilight.scenes.arrays import Float32, Mask
 from multilight.scenes.cameras.pinhole import opencv_from_opengl
 from multilight.scenes.gaussians.from_views import Gaussians
 from multilight.scenes.gaussians.splatting import CAP, LOW_PASS, blended_pairs
 from multilight.scenes.spec import Camera
-
-Float32 = NDArray[np.float32]
 
 RATES = {"quats": 1e-3, "logs": 5e-3, "logits": 5e-2, "colors": 1e-3}
 """Adam's rates. Colours start as the views' mean, so they need less than the published 2.5e-3."""
@@ -114,7 +112,7 @@ def refine(
     gaussians: Gaussians,
     cameras: Sequence[Camera],
     pictures: Float32,
-    seen: NDArray[np.bool_],
+    seen: Mask,
     *,
     steps: int,
     seed: int = 0,

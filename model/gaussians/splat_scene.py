@@ -18,6 +18,7 @@ from scipy.sparse import csr_matrix, vstack
 from torch import Tensor
 
 from multilight.model.configs.stage3d import Order
+from multilight.scenes.arrays import Int64
 from multilight.scenes.gaussians.curves import box_cells, morton_index
 from multilight.scenes.gaussians.from_views import Gaussians, SceneGaussians, gaussians_from_views
 from multilight.scenes.gaussians.splatting import blending_weights
@@ -150,7 +151,7 @@ def reshaped(scene: SplatScene, cameras: Sequence[Camera], gaussians: Gaussians)
     return replace(scene, matrix=matrix, transposed=transposed, gaussians=replace(scene.gaussians, gaussians=gaussians))
 
 
-def map_order(means: NDArray[np.floating], order: Order, bits: int = 10) -> NDArray[np.int64] | None:
+def map_order(means: NDArray[np.floating], order: Order, bits: int = 10) -> Int64 | None:
     """Return which Gaussian comes first on the map, which next, (N,); None for the Hilbert curve, as they lie.
 
     Z-order is Morton's curve over the same cells; an arbitrary order is a fixed random one.

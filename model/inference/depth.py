@@ -5,15 +5,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multilight.datagen.errors import UserError
 from multilight.model.inference.pictures import resized
+from multilight.scenes.arrays import Float32
 
 if TYPE_CHECKING:
     import onnxruntime
 
-Float32 = NDArray[np.float32]
 
 PATCH = 14
 """Side of the patches of Depth Anything V2's backbone (DINOv2): its input is a multiple of it."""

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import interpolate
 
@@ -17,8 +16,8 @@ from multilight.model.inference.depth import DepthModel, depth_from_metres, gues
 from multilight.model.inference.pictures import read_depth, read_mask, read_picture, write_picture
 from multilight.model.networks.checkpoint import load_network
 from multilight.model.networks.compositing2d import Compositing2D, apply_gains, soft_mask
+from multilight.scenes.arrays import Float32
 
-Float32 = NDArray[np.float32]
 Harmonizer = Callable[[Float32, Float32, Float32, Float32], Float32]
 """Composite and background (H, W, 3), display-encoded, depth and mask (H, W), all in [0, 1] → picture (H, W, 3)."""
 

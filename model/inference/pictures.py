@@ -8,9 +8,8 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 
 from multilight.datagen.errors import UserError
 from multilight.datagen.files.outputs import written
+from multilight.scenes.arrays import Float32, UInt8
 from multilight.scenes.files.limits import open_picture, read_npy
-
-Float32 = NDArray[np.float32]
 
 
 def read_picture(path: Path) -> Float32:
@@ -60,7 +59,7 @@ def write_picture(path: Path, picture: Float32) -> None:
             raise UserError(f"{path} cannot be written: {error}") from None
 
 
-def to_bytes(picture: NDArray[np.floating]) -> NDArray[np.uint8]:
+def to_bytes(picture: NDArray[np.floating]) -> UInt8:
     """Round values in [0, 1] to 8 bits."""
     return np.rint(np.clip(picture, 0.0, 1.0) * 255.0).astype(np.uint8)
 

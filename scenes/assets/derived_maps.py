@@ -10,10 +10,10 @@ import hashlib
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 from scipy.ndimage import gaussian_filter
 
+from multilight.scenes.arrays import Float64, UInt8
 from multilight.scenes.assets.cache import sources_key, write_once
 from multilight.scenes.assets.info import AssetError
 from multilight.scenes.colour import LUMINANCE_WEIGHTS
@@ -27,10 +27,8 @@ SLOPE = 0.08
 _FLAT = 0.015
 """Deviation of brightness below which a picture counts as plain: what is less is not blown up."""
 
-Array = NDArray[np.float64]
 
-
-def roughness_map(detail: Array) -> NDArray[np.uint8]:
+def roughness_map(detail: Float64) -> UInt8:
     """Turn detail (N, M), high where a surface is worn smooth, into a roughness map (N, M) uint8, linear.
 
     Its mean is `MEAN_ROUGHNESS`, a deviation 0.09; all of it within 0.5 to 1.
@@ -39,14 +37,14 @@ def roughness_map(detail: Array) -> NDArray[np.uint8]:
     return np.round(np.clip(MEAN_ROUGHNESS - 0.09 * level, 0.5, 1.0) * 255).astype(np.uint8)
 
 
-def band(albedo: NDArray[np.uint8]) -> Array:
+def band(albedo: UInt8) -> Float64:
     """Return the brightness (N, M) of a picture between 0.8 pixels and a fortieth of its size, zero on average."""
     grey = albedo[..., :3].astype(np.float64) @ LUMINANCE_WEIGHTS / 255
     detail = gaussian_filter(grey, 0.8, mode="wrap") - gaussian_filter(grey, max(grey.shape) / 40, mode="wrap")
     return np.clip(detail / max(float(detail.std()), _FLAT), -2.5, 2.5)
 
 
-def slopes_to_normals(height: Array) -> NDArray[np.uint8]:
+def slopes_to_normals(height: Float64) -> UInt8:
     """Encode the normals of a height field (N, M) in pixels as (N, M, 3) uint8, +Y up; at most `SLOPE` deep."""
     right, down = (np.roll(height, -1, axis=a) - np.roll(height, 1, axis=a) for a in (1, 0))
     spread = float(np.sqrt((right**2 + down**2).mean()))

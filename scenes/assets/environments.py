@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import OpenEXR
-from numpy.typing import NDArray
 
+from multilight.scenes.arrays import Float32
 from multilight.scenes.assets.cache import write_once
 from multilight.scenes.assets.info import AssetError, AssetInfo
 from multilight.scenes.files.limits import LimitError, check_file, check_pixels
@@ -77,7 +77,7 @@ def _infos(pack: str, maps: dict[str, _Map], names: list[str], prefix: str) -> l
     ]
 
 
-def read_environment(path: Path) -> NDArray[np.float32]:
+def read_environment(path: Path) -> Float32:
     """Read an equirectangular EXR as (H, W, 3) float32; raises `AssetError` where it is broken or not finite."""
     try:
         _check_size(path)
@@ -104,7 +104,7 @@ def _check_size(path: Path) -> None:
                 raise LimitError(f"it has more than {MOST_CHANNELS} channels; write its red, green and blue alone")
 
 
-def without_negatives(image: NDArray[np.float32]) -> NDArray[np.float32]:
+def without_negatives(image: Float32) -> Float32:
     """Replace what down-sampling with negative lobes left below zero by the median of its valid neighbours.
 
     image (H, W, 3); wraps around in azimuth. A pixel counts as one: a negative channel takes its others along.

@@ -3,8 +3,8 @@
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from multilight.scenes.arrays import Float64
 from multilight.scenes.cameras.pinhole import SENSOR_MM, camera_from_lens, look_at
 from multilight.scenes.spec import Camera
 
@@ -17,8 +17,6 @@ FRAMED = (1.5, 2.4)
 CLEAR = 0.4
 """An object that is moved in on must show this share of its surface, most of its near side."""
 TRIES = 10
-
-Float64 = NDArray[np.float64]
 
 
 def closer_views(rng: np.random.Generator, views: int, visible_share: float) -> int:

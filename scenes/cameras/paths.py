@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, model_validator
 
+from multilight.scenes.arrays import Float64
 from multilight.scenes.cameras.pinhole import SENSOR_MM, camera_from_lens, look_at
 from multilight.scenes.frozen import Frozen, UnitFloat
 from multilight.scenes.spec import Camera
@@ -25,7 +25,6 @@ STEEPER = 0.17
 
 Lens = Annotated[float, Field(ge=12, le=200, json_schema_extra={"unit": "mm"})]
 FNumber = Annotated[float, Field(ge=0.95, le=64)]
-Float64 = NDArray[np.float64]
 
 
 class TrajectoryShares(Frozen):

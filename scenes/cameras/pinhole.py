@@ -9,12 +9,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from multilight.scenes.arrays import Float64
 from multilight.scenes.frozen import Matrix4
 from multilight.scenes.spec import Camera
-
-Float64 = NDArray[np.float64]
 
 SENSOR_MM = 36.0
 """Width of a full-frame sensor, and Blender's default, in millimetres."""

@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from trimesh.collision import CollisionManager
 from trimesh.creation import box
 from trimesh.triangles import closest_point
 
+from multilight.scenes.arrays import Float64
 from multilight.scenes.cameras.close_ups import CLEAR, closer_views, move_in
 from multilight.scenes.cameras.paths import (
     DEFAULT_CAMERAS,
@@ -37,8 +37,6 @@ CLOSER = frozenset({"approach", "random"})
 """Trajectories whose last views may move in on one object."""
 
 _POINT = box((1e-4, 1e-4, 1e-4))
-
-Float64 = NDArray[np.float64]
 
 
 class TrajectoryError(RuntimeError):

@@ -7,9 +7,9 @@ Source of the Hilbert transform: J. Skilling, "Programming the Hilbert curve", A
 """
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Int64 = NDArray[np.int64]
+from multilight.scenes.arrays import Int64
 
 
 def hilbert_index(cells: ArrayLike, bits: int) -> Int64:

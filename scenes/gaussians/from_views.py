@@ -15,12 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from multilight.scenes.arrays import Float32, Float64, Int64
 from multilight.scenes.cameras.pinhole import pixel_rays, unproject
 from multilight.scenes.gaussians.curves import curve_order, fold, hilbert_index
 from multilight.scenes.spec import Camera
-
-Float32 = NDArray[np.float32]
-Float64 = NDArray[np.float64]
 
 OPACITY = 1.0
 """Opaque: renderers of Gaussians cap what one of them covers at 0.99 or so."""
@@ -62,7 +60,7 @@ class SceneGaussians:
     gaussians: Gaussians
     sources: NDArray[np.int32]
     objects: NDArray[np.int16]
-    cells: NDArray[np.int64]
+    cells: Int64
 
     @property
     def side(self) -> int:
@@ -95,7 +93,7 @@ class _Pixels:
     points: Float64
     normals: Float64
     footprints: Float64
-    groups: NDArray[np.int64]
+    groups: Int64
 
 
 def gaussians_from_views(
@@ -195,9 +193,7 @@ def _pixels(
     )
 
 
-def _thin(
-    groups: NDArray[np.int64], shape: tuple[int, ...], objects: int, wanted: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], float]:
+def _thin(groups: Int64, shape: tuple[int, ...], objects: int, wanted: int) -> tuple[Int64, Int64, Int64, float]:
     """Choose `wanted` pixels, evenly: views, flat pixel indices, groups, and how many pixels each stands for."""
     rows, columns = np.divmod(np.arange(shape[0] * shape[1]), shape[1])
     bits = max(int(max(shape) - 1).bit_length(), 1)

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from multilight.scenes.arrays import Float64
 from multilight.scenes.files.limits import LimitError, read_bytes, shown
 from multilight.scenes.gaussians.from_views import Gaussians
 
@@ -67,7 +68,7 @@ def read_gaussians(path: Path) -> Gaussians:
     if missing:
         raise ValueError(f"{path} holds no Gaussians: its vertices have no {', '.join(missing)}")
 
-    def columns(*names: str) -> NDArray[np.float64]:
+    def columns(*names: str) -> Float64:
         return np.stack([vertices[name].astype(np.float64) for name in names], axis=-1)
 
     quats = columns(*(f"rot_{i}" for i in range(4)))

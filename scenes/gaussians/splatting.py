@@ -10,15 +10,13 @@ covariance by the Jacobian at the centre, a low-pass of 0.3 pixels, opacity capp
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.spatial.transform import Rotation
 
+from multilight.scenes.arrays import Float64, Int64
 from multilight.scenes.cameras.pinhole import project
 from multilight.scenes.gaussians.from_views import Gaussians
 from multilight.scenes.spec import Camera
-
-Float64 = NDArray[np.float64]
 
 LOW_PASS = 0.3
 """Variance [pixels²] added to every footprint."""
@@ -40,7 +38,7 @@ class Footprints:
     `FAINTEST` in; `opacities` (M,).
     """
 
-    numbers: NDArray[np.int64]
+    numbers: Int64
     centres: Float64
     inverses: Float64
     radii: Float64
@@ -58,7 +56,7 @@ def blending_weights(camera: Camera, gaussians: Gaussians) -> csr_matrix:
     )
 
 
-def blended_pairs(camera: Camera, gaussians: Gaussians) -> tuple[NDArray[np.int64], NDArray[np.int64], Float64]:
+def blended_pairs(camera: Camera, gaussians: Gaussians) -> tuple[Int64, Int64, Float64]:
     """List what pixels are blended from, pixel by pixel, front to back: Gaussians, flat pixels, weights, (P,) each."""
     seen = footprints(camera, gaussians)
     ranks, pixels, alphas = _pairs(camera, seen)
@@ -88,9 +86,7 @@ def footprints(camera: Camera, gaussians: Gaussians) -> Footprints:
     return Footprints(ahead[inside], centres[inside], inverses[inside], radii[inside], opacities[inside])
 
 
-def _projected(
-    camera: Camera, gaussians: Gaussians, chosen: NDArray[np.int64], centres: Float64, depths: Float64
-) -> Float64:
+def _projected(camera: Camera, gaussians: Gaussians, chosen: Int64, centres: Float64, depths: Float64) -> Float64:
     """Return the covariances (M, 3) (xx, xy, yy) in pixels², low-pass included."""
     axes = Rotation.from_quat(np.roll(gaussians.quats[chosen], -1, axis=-1).astype(np.float64)).as_matrix()
     # Camera axes as pixels run: x to the right, y down, z ahead.
@@ -106,7 +102,7 @@ def _projected(
     return products + np.array([LOW_PASS, 0.0, LOW_PASS])
 
 
-def _pairs(camera: Camera, seen: Footprints) -> tuple[NDArray[np.int64], NDArray[np.int64], Float64]:
+def _pairs(camera: Camera, seen: Footprints) -> tuple[Int64, Int64, Float64]:
     """List every (footprint, pixel) whose alpha counts, footprint by footprint: ranks, flat pixels, alphas."""
     size = np.array([camera.width, camera.height])
     low = np.clip(np.ceil(seen.centres - seen.radii - 0.5), 0, size).astype(np.int64)
@@ -125,7 +121,7 @@ def _pairs(camera: Camera, seen: Footprints) -> tuple[NDArray[np.int64], NDArray
     return ranks[kept], (y * camera.width + x)[kept], alphas[kept]
 
 
-def _transmittance(pixels: NDArray[np.int64], alphas: Float64) -> Float64:
+def _transmittance(pixels: Int64, alphas: Float64) -> Float64:
     """Return what reaches each entry through those before it in the same pixel; entries sorted by pixel."""
     logs = np.log1p(-alphas)
     before = np.cumsum(logs) - logs

@@ -6,10 +6,10 @@ from itertools import combinations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 from trimesh.creation import icosphere
 
+from multilight.scenes.arrays import Float64, Int64
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.geometry.overlap import boxes_meet, depth, surfaces_cross, touching
 from multilight.scenes.geometry.rays import body_triangles
@@ -24,7 +24,6 @@ SINK = 3e-3
 BACKING = 0.1
 """Thickness [m] behind the rectangles of a surrounding: what pokes through a wall lies in it."""
 
-Float64 = NDArray[np.float64]
 How = Literal["stands", "held", "hangs"]
 
 
@@ -76,7 +75,7 @@ class Solids:
         rigid[:3, :3] /= scale
         return Placed(self._made[key], rigid)
 
-    def _triangles(self, body: Body, *, slab: bool) -> tuple[Float64, NDArray[np.int64]]:
+    def _triangles(self, body: Body, *, slab: bool) -> tuple[Float64, Int64]:
         match body.geometry:
             case MeshAsset(asset=asset):
                 mesh = self._library.mesh(asset)
@@ -92,7 +91,7 @@ class Solids:
 _IDENTITY = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
 
-def _slab(vertices: Float64, faces: NDArray[np.int64]) -> tuple[Float64, NDArray[np.int64]]:
+def _slab(vertices: Float64, faces: Int64) -> tuple[Float64, Int64]:
     """Give a rectangle (4, 3) in its XY plane a back."""
     corners = np.arange(4)
     following = np.roll(corners, -1)

@@ -8,9 +8,9 @@ from collections.abc import Iterator
 
 import fcl
 import numpy as np
-from numpy.typing import NDArray
 from trimesh.triangles import closest_point
 
+from multilight.scenes.arrays import Float64, Int64
 from multilight.scenes.geometry.solids import Placed, Solid, bvh
 
 ACCURACY = 1e-4
@@ -22,9 +22,6 @@ MOST_TRIANGLES = 60_000
 
 MOST_FINE = 2000
 """Of a mesh's fine triangles so many are enough to tell where it touches another."""
-
-Float64 = NDArray[np.float64]
-Int64 = NDArray[np.int64]
 
 
 def boxes_meet(first: Placed, second: Placed, reach: float = 0.0) -> bool:

@@ -3,18 +3,16 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from trimesh import Trimesh
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
+from multilight.scenes.arrays import Float64, Int64, Mask
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.geometry.support_surfaces import stacked_faces
 from multilight.scenes.spec import Body, MeshAsset, Rectangle, Sphere
 
-Float64 = NDArray[np.float64]
 
-
-def body_triangles(body: Body, library: AssetLibrary) -> tuple[Float64, NDArray[np.int64]]:
+def body_triangles(body: Body, library: AssetLibrary) -> tuple[Float64, Int64]:
     """Return a body's vertices in the world, (V, 3) float64 metres, and its faces (F, 3) int64."""
     match body.geometry:
         case MeshAsset(asset=asset):
@@ -46,7 +44,7 @@ class SceneRays:
         self._body_of_face = np.repeat(np.arange(len(pieces)), [len(faces) for _, faces in pieces])
         self._tracer = RayMeshIntersector(self._solid)
 
-    def first_hit(self, origins: Float64, directions: Float64) -> tuple[NDArray[np.int64], Float64]:
+    def first_hit(self, origins: Float64, directions: Float64) -> tuple[Int64, Float64]:
         """Return the body hit first (N,), -1 for none, and the distance (N,) [m], inf for none.
 
         `origins` (N, 3) metres; `directions` (N, 3) of any length but zero.
@@ -59,7 +57,7 @@ class SceneRays:
         distance = ((a - origins) * normal).sum(axis=1) / np.where(np.abs(facing) > 1e-30, facing, 1e-30)
         return np.where(face >= 0, self._body_of_face[face], -1), np.where(face >= 0, distance, np.inf)
 
-    def sees(self, eye: Float64, points: Float64, *, slack: float = 0.01) -> NDArray[np.bool_]:
+    def sees(self, eye: Float64, points: Float64, *, slack: float = 0.01) -> Mask:
         """Tell for points (N, 3) whether the way from `eye` (3,) to `slack` [m] before them is free."""
         way = points - eye
         _, distance = self.first_hit(np.broadcast_to(eye, way.shape), way)

@@ -16,11 +16,10 @@ from scipy.spatial import ConvexHull, QhullError
 from trimesh import Trimesh
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
+from multilight.scenes.arrays import Float64, Int64, Mask
+
 MOST_HITS = 200
 """Surfaces that a ray is followed through."""
-
-Float64 = NDArray[np.float64]
-Int64 = NDArray[np.int64]
 
 
 _WAYS = tuple(way / np.linalg.norm(way) for way in (np.array([0.31, 0.42, 0.853]), np.array([-0.67, 0.21, -0.712])))
@@ -95,7 +94,7 @@ class Solid:
     def _tracer(self) -> RayMeshIntersector:
         return RayMeshIntersector(Trimesh(self.vertices, self.faces[self._closed], process=False))
 
-    def contains(self, points: Float64) -> NDArray[np.bool_]:
+    def contains(self, points: Float64) -> Mask:
         """Tell which points (N, 3) lie inside a closed piece, by the winding number about them.
 
         Rays in two directions count it; where they disagree (an edge, a slit) the solid angle decides.
@@ -140,7 +139,7 @@ def bvh(vertices: Float64, faces: Int64) -> fcl.BVHModel:
     return model
 
 
-def _pieces(vertices: Float64, faces: Int64) -> tuple[NDArray[np.bool_], NDArray[np.int32], Float64]:
+def _pieces(vertices: Float64, faces: Int64) -> tuple[Mask, NDArray[np.int32], Float64]:
     """Tell which faces belong to closed pieces (F,), the piece of each face (F,), and a vertex of each piece (P, 3).
 
     A piece counts as closed where its open edges, if any, are short against its size: models have slits.

@@ -4,18 +4,16 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import ConvexHull, QhullError
 from trimesh import Trimesh
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
+from multilight.scenes.arrays import Float64, Int64, Mask
 from multilight.scenes.meshes import Mesh
 
 FLATNESS = 0.0015
 """How far [m] cells of one surface may lie above or below its height."""
-
-Float64 = NDArray[np.float64]
 
 
 class SupportError(ValueError):
@@ -33,7 +31,7 @@ class SupportSurface:
     height: float
     origin: Float64
     cell: float
-    free: NDArray[np.bool_]
+    free: Mask
     part: int
 
     @cached_property
@@ -83,7 +81,7 @@ def find_support(mesh: Mesh, *, cell: float = 0.01, smallest: float = 0.4) -> Su
     shape = np.maximum(np.ceil((high - low)[:2] / cell).astype(int), 1)
     columns, rows = (low[i] + (np.arange(shape[i]) + 0.5) * cell for i in (0, 1))
     heights, parts, upward = _height_map(mesh, columns, rows, float(high[2]) + 1.0)
-    best: NDArray[np.bool_] | None = None
+    best: Mask | None = None
     for level in _levels(heights[upward]):
         flat = upward & (np.abs(heights - level) <= FLATNESS)
         labels, count = ndimage.label(flat)
@@ -104,9 +102,7 @@ def find_support(mesh: Mesh, *, cell: float = 0.01, smallest: float = 0.4) -> Su
     )
 
 
-def _height_map(
-    mesh: Mesh, columns: Float64, rows: Float64, top: float
-) -> tuple[Float64, NDArray[np.int64], NDArray[np.bool_]]:
+def _height_map(mesh: Mesh, columns: Float64, rows: Float64, top: float) -> tuple[Float64, Int64, Mask]:
     """Return height [m], part and whether the surface is level, of what lies on top of each cell (rows, columns)."""
     solid = Trimesh(mesh.vertices(), stacked_faces(mesh), process=False)
     part_of_face = np.repeat(np.arange(len(mesh.parts)), [len(part.faces) for part in mesh.parts])
@@ -138,7 +134,7 @@ def _levels(heights: Float64) -> list[float]:
     return [float(np.median(heights[np.abs(heights - level) <= 0.001])) for level in commonest]
 
 
-def largest_square(region: NDArray[np.bool_]) -> int:
+def largest_square(region: Mask) -> int:
     """Return the side, in cells, of the largest square inside a region (bisection over a summed-area table)."""
     total = np.pad(region.astype(np.int64).cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
     fits, too_large = 0, min(region.shape) + 1
@@ -152,7 +148,7 @@ def largest_square(region: NDArray[np.bool_]) -> int:
     return fits
 
 
-def stacked_faces(mesh: Mesh) -> NDArray[np.int64]:
+def stacked_faces(mesh: Mesh) -> Int64:
     """Stack all parts' faces, (F, 3) int64, as indices into `mesh.vertices()`."""
     starts = np.cumsum([0] + [len(part.vertices) for part in mesh.parts[:-1]])
     return np.concatenate([part.faces.astype(np.int64) + s for part, s in zip(mesh.parts, starts, strict=True)])

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
+from multilight.scenes.arrays import Float64, Mask
 from multilight.scenes.assets.library import AssetError, AssetLibrary
 from multilight.scenes.geometry.contact import Solids
 from multilight.scenes.geometry.rays import SceneRays, body_triangles
@@ -30,7 +30,6 @@ STANDPOINT = 0.9
 """Distance [m] that must be free before a surface for cameras to stand there."""
 
 CustomSettings = StillLifeSettings
-Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -155,7 +154,7 @@ def _free_regions(
     return result
 
 
-def _is_inside(solids: Sequence[Placed], points: Float64) -> NDArray[np.bool_]:
+def _is_inside(solids: Sequence[Placed], points: Float64) -> Mask:
     """Tell which points (N, 3) lie inside a closed piece: a cabinet's floor is no place to stand."""
     inside = np.zeros(len(points), bool)
     for placed in solids:

@@ -1,8 +1,8 @@
 """Outdoor scenes: things on open ground under the sky, about garden furniture, with the horizon at eye level."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.assets.library import AssetError, AssetLibrary
 from multilight.scenes.materials import pick_texture, sample_material, textured
@@ -34,8 +34,6 @@ _THINGS = frozenset(
     }
 )  # fmt: skip
 _FINISH = {"grass": "fabric", "deck": "wood", "sand": "rough stone", "asphalt": "rough stone", "gravel": "rough stone"}
-
-Float64 = NDArray[np.float64]
 
 
 def sample_outdoor(streams: Streams, library: AssetLibrary, *, index: int, settings: StillLifeSettings) -> SceneSpec:

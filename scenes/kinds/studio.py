@@ -4,7 +4,6 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multilight.scenes.assets.builtin.backdrops import ROLL, ROLL_ID, STUDIO, SWEEP_ID, TABLE_SWEEP_IDS, table_size
 from multilight.scenes.assets.library import AssetLibrary
@@ -28,8 +27,6 @@ _PAPERS = (
     "f6f5f2", "f6f5f2", "e4e2de", "b9bbbd", "7d7f82", "4a4b4e", "2b2b2d", "e6d8c4", "c9d5d0", "7fa0ad", "d8aea4",
     "97a289", "ecd6a6", "b5402f", "1f4e79", "e0a32e", "2f6b4f", "6a4a7d",
 )  # fmt: skip
-
-Float64 = NDArray[np.float64]
 
 
 def sample_studio(streams: Streams, library: AssetLibrary, *, index: int, settings: StillLifeSettings) -> SceneSpec:

@@ -1,7 +1,6 @@
 """Tabletop scenes: a table in a surrounding, a still life on it, and cameras that approach it."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.assets.library import AssetLibrary
@@ -25,7 +24,6 @@ _BACKED = frozenset({"counter", "nightstand", "sideboard"})
 _TOP_FINISH = {"marble": "stone", "terrazzo": "stone", "stone": "stone", "linen": "fabric", "fabric": "fabric"}
 
 TabletopSettings = StillLifeSettings
-Float64 = NDArray[np.float64]
 
 
 def sample_tabletop(streams: Streams, library: AssetLibrary, *, index: int, settings: TabletopSettings) -> SceneSpec:

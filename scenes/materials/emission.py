@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.meshes import Mesh
@@ -80,7 +80,7 @@ def emission_of(info: AssetInfo) -> Emission:
 
 def part_area(mesh: Mesh, part: int) -> float:
     """Return the area [m²] of a mesh part, one side."""
-    vertices: NDArray[np.float64] = mesh.parts[part].vertices.astype(np.float64)
+    vertices: Float64 = mesh.parts[part].vertices.astype(np.float64)
     a, b, c = np.moveaxis(vertices[mesh.parts[part].faces], 1, 0)
     return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
 

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 from trimesh import Trimesh
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
+from multilight.scenes.arrays import Float64
 from multilight.scenes.geometry.solids import Placed, Solid
 
 CELL = 0.004
@@ -27,8 +27,6 @@ DENSITY = 500.0
 """Of everything [kg/m³]: where things come to rest hardly depends on it."""
 STILL = (0.004, 0.06)
 """Speeds [m/s], [rad/s] below which a body counts as at rest."""
-
-Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from multilight.scenes.arrays import Float64
 from multilight.scenes.geometry.contact import support_of
 from multilight.scenes.geometry.overlap import boxes_meet, depth, gap, touching, way_out
 from multilight.scenes.geometry.solids import Placed, Solid
@@ -17,8 +17,6 @@ CLOSE = 2e-4
 """A body is lowered until it is this close [m] to what it rests on."""
 STEPS = 60
 """Moves after which a search for rest is given up."""
-
-Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,9 @@
 """Large pieces beside and behind a still life that stands on the floor: furniture, planters."""
 
 import numpy as np
-from numpy.typing import NDArray
 from trimesh.collision import CollisionManager
 
+from multilight.scenes.arrays import Float64
 from multilight.scenes.still_life.placement import Arrangement, PlacementError, Stage, Standing
 
 GAP = 0.05
@@ -11,8 +11,6 @@ GAP = 0.05
 SWING = 1.4
 """How far [rad] from straight behind the still life a piece may stand, seen from its middle."""
 _TRIES = 24
-
-Float64 = NDArray[np.float64]
 
 
 def put_beside(

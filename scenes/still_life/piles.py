@@ -10,10 +10,10 @@ from functools import cached_property
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 from trimesh import Trimesh
 from trimesh.creation import box
 
+from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.assets.library import AssetError, AssetLibrary
 from multilight.scenes.cameras.pinhole import matrix4
@@ -45,8 +45,6 @@ FEWEST = 3
 """Things that make a pile."""
 _FILL = 0.75
 """Share of a bowl's space, up to its rim, that its contents take."""
-
-Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

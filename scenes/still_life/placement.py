@@ -4,11 +4,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from trimesh import Trimesh
 from trimesh.collision import CollisionManager
 
+from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.geometry.solids import Solid
 from multilight.scenes.geometry.support_surfaces import SupportSurface, convex_polygon, inside_convex, stacked_faces
@@ -25,8 +25,6 @@ EDGE = 0.015
 CANDIDATES = 48
 BLOCKS = frozenset({"block", "blocks", "box", "boxes", "carton", "cube", "dice", "die"})
 """Categories whose members may lie on any face that carries them."""
-
-Float64 = NDArray[np.float64]
 
 
 class PlacementError(RuntimeError):

@@ -3,9 +3,9 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from trimesh import Trimesh
 
+from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.materials import metres_per_uv, pick_texture, sample_material, textured
@@ -27,7 +27,7 @@ class Raised:
     plinth: AssetInfo | None = None
 
     @property
-    def standing_from_body(self) -> NDArray[np.float64]:
+    def standing_from_body(self) -> Float64:
         """Return the pose (4, 4) of the object's mesh in the arranged piece's frame."""
         pose = np.eye(4)
         pose[:3, :3], pose[2, 3] = self.standing.turn, self.standing.lift

@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.colour import linear_from_hex
 from multilight.scenes.geometry.support_surfaces import SupportError, find_support
@@ -32,8 +32,6 @@ LOOSE = frozenset({"mirror plate", "glass plate", "stone plate", "chrome tray", 
 """What stands on a surface, rather than being it."""
 GAP = 0.0004
 """Air [m] between a plate and what it lies on, so that no two surfaces coincide."""
-
-Float64 = NDArray[np.float64]
 
 
 def choose_receiver(rng: np.random.Generator, *, loose: bool = False) -> ReceiverKind:

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, PositiveInt, model_validator
 from trimesh import Trimesh
 from trimesh.collision import CollisionManager
 
+from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.cameras.paths import CameraSettings, TrajectoryShares, choose_trajectory
 from multilight.scenes.cameras.pinhole import matrix4
@@ -38,7 +38,6 @@ PILED = 4
 EMISSIVE_SHARE = 0.4
 """Share of the scenes in which an object glows; in five of six of these it is an insertable one: a third of all."""
 
-Float64 = NDArray[np.float64]
 Choice = tuple[list[Standing], list[int], int | None]
 """Objects, the indices of the insertable ones, and the index of the one that glows."""
 

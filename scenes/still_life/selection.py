@@ -1,8 +1,8 @@
 """Which table and which objects come into a scene."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from multilight.scenes.arrays import Int64
 from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.assets.library import AssetError, AssetLibrary
 from multilight.scenes.geometry.support_surfaces import SupportError, SupportSurface, find_support
@@ -133,7 +133,7 @@ def _choose_insertable(rng: np.random.Generator, chosen: list[Standing], count: 
     fit = [i for i, item in enumerate(chosen) if _is_insertable(item.info.size or (0.0, 0.0, 0.0))]
     if len(fit) < count:
         raise PlacementError(f"only {len(fit)} objects have a size for insertion, need {count}")
-    picked: NDArray[np.int64] = rng.choice(len(fit), size=count, replace=False)
+    picked: Int64 = rng.choice(len(fit), size=count, replace=False)
     result = sorted(fit[int(i)] for i in picked)
     if glowing in fit and glowing not in result and rng.random() < 0.8:
         result[int(rng.integers(count))] = glowing

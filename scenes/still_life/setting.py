@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.cameras.pinhole import matrix4
 from multilight.scenes.geometry.support_surfaces import SupportSurface
@@ -13,8 +13,6 @@ from multilight.scenes.materials import GLOW
 from multilight.scenes.meshes import Mesh
 from multilight.scenes.spec import Body, Material, MeshAsset, Role, SceneSpec
 from multilight.scenes.still_life.placement import Stage, Standing
-
-Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

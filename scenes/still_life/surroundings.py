@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.builtin.backdrops import STUDIO, SWEEP_ID
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.cameras.pinhole import matrix4
@@ -27,8 +27,6 @@ _FLOORS = {
 }
 _WALLS = frozenset({"plaster", "brick", "concrete", "wallpaper"})
 _PAPERS = ("f4f2ee", "d9d6d0", "a7a9ab", "58595b", "232325", "dcc9b0", "b9c7c3", "6f8a94", "c7a29a", "87917a", "e6cfa5")
-
-Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,9 @@ from multilight.datagen.production.denoise import (
     denoise_without,
     foreground_layers,
 )
-from multilight.datagen.storage.layers import Float32, LayerStack
-from multilight.datagen.verification.residuals import Mask
+from multilight.datagen.storage.layers import LayerStack
 from multilight.lights.rigs.sample import SPHERES_KINDS, sample_rig
+from multilight.scenes.arrays import Float32, Mask
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.kinds.spheres import sample_spheres
 from multilight.scenes.streams import Streams

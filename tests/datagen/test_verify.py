@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from multilight.datagen.cli import main
-from multilight.datagen.storage.layers import Float32
 from multilight.datagen.storage.records import view_file
 from multilight.datagen.storage.store import (
     ViewData,
@@ -24,6 +23,7 @@ from multilight.datagen.tuples.exposure import DARK, LIFTED_BRIGHT, LIFTED_DARK,
 from multilight.datagen.verification.dataset import verify_dataset
 from multilight.datagen.verification.views import verify_scene
 from multilight.lights.spec import LightingCondition
+from multilight.scenes.arrays import Float32
 from multilight.scenes.colour import luminance
 
 Damage = Callable[[ViewData, str], ViewData]

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from numpy.typing import NDArray
 
 from multilight.datagen.errors import UserError
 from multilight.model.commands.evaluate import Evaluate
@@ -18,6 +17,7 @@ from multilight.model.gaussians.refine import Free, Pairs, refine, refined_scene
 from multilight.model.gaussians.splat_scene import splat_scene
 from multilight.model.networks.compositing2d import Compositing2D
 from multilight.model.networks.compositing3d import scene_network
+from multilight.scenes.arrays import Float32, Mask
 from multilight.scenes.cameras.pinhole import camera_from_fov, look_at
 from multilight.scenes.gaussians.from_views import Gaussians, gaussians_from_views
 from multilight.scenes.gaussians.splatting import blending_weights
@@ -35,7 +35,7 @@ def group(spheres_dataset: Path) -> Group:
     return next(each for each in groups if len(each.cases) == 3)
 
 
-def pictures(group: Group) -> NDArray[np.float32]:
+def pictures(group: Group) -> Float32:
     return np.stack([case.composite for case in group.cases])
 
 
@@ -63,13 +63,13 @@ def camera(width: int = 40, height: int = 24) -> Camera:
     return camera_from_fov(look_at([0.3, -3.0, 1.0], [0.0, 0.0, 0.2]), width=width, height=height, fov=0.8)
 
 
-def shown(view: Camera, gaussians: Gaussians) -> NDArray[np.float32]:
+def shown(view: Camera, gaussians: Gaussians) -> Float32:
     """Colours and covered share as `scenes.gaussians.splatting` has them, (H, W, 4)."""
     both = np.concatenate((gaussians.colors, np.ones((len(gaussians), 1), np.float32)), axis=1)
     return (blending_weights(view, gaussians) @ both).reshape(view.height, view.width, 4)
 
 
-def psnr(view: Camera, gaussians: Gaussians, picture: NDArray[np.float32], where: NDArray[np.bool_]) -> float:
+def psnr(view: Camera, gaussians: Gaussians, picture: Float32, where: Mask) -> float:
     error = np.square(shown(view, gaussians)[..., :3] - picture)[where]
     return float(-10.0 * np.log10(error.mean(dtype=np.float64)))
 

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 from PIL import Image
 from trimesh.transformations import quaternion_from_matrix, rotation_matrix, translation_matrix
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
+from multilight.scenes.arrays import Float64
 from tests import ROOT
 
 LENGTH, DEPTH, HEIGHT = 5.0, 4.0, 2.6
@@ -26,7 +26,7 @@ PACKED = Image.fromarray(np.tile(np.uint8([[[0, 153, 0]]]), (8, 8, 1)))
 """Green is roughness, 0.6; blue is metallic, 0."""
 
 
-def walls() -> dict[str, NDArray[np.float64]]:
+def walls() -> dict[str, Float64]:
     """Return the pose of each side of the room, as a rectangle that faces inwards along its +Z."""
     return {
         "Floor": np.eye(4),

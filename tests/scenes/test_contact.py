@@ -4,10 +4,10 @@ import time
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from trimesh import Trimesh
 from trimesh.creation import box, cylinder, icosphere
 
+from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.cameras.pinhole import matrix4
 from multilight.scenes.geometry.contact import check_contacts
@@ -137,7 +137,7 @@ class Boxes:
 
 
 def body(name: str, geometry: Geometry, at: tuple[float, float, float], role: Role = "object") -> Body:
-    pose: NDArray[np.float64] = np.eye(4)
+    pose: Float64 = np.eye(4)
     pose[:3, 3] = at
     return Body(
         name=name, role=role, category=name, geometry=geometry, materials=(Material(),), world_from_body=matrix4(pose)

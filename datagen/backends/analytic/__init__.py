@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multilight.datagen.backends.analytic.lighting import check_lights, colour_of, exitance_share
-from multilight.datagen.backends.analytic.shapes import Ball, Float64, Shape, column, dot, shapes_of
+from multilight.datagen.backends.analytic.shapes import Ball, Shape, column, dot, shapes_of
 from multilight.datagen.backends.protocol import BackendError, RenderJob, split_variant
 from multilight.datagen.storage.layers import GeometryBuffers, LayerStack
 from multilight.lights.spec import EmissiveLight, EnvironmentLight, Light
+from multilight.scenes.arrays import Float32, Float64
 from multilight.scenes.cameras.pinhole import pixel_rays
 from multilight.scenes.spec import Camera
 
@@ -103,7 +104,7 @@ def _surface(
 
 def _sample_grid(
     camera: Camera, shapes: Sequence[Shape], lights: Sequence[Light], spp: int, only: int | None
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+) -> tuple[Float32, Float32]:
     """Average the grid of rays in each pixel.
 
     Returns the layers (L, H, W, 3) and the share of each pixel (H, W) that shows geometry, or, where `only` is an
@@ -133,7 +134,7 @@ def _sample_grid(
     return np.ascontiguousarray(radiance), (seen * scale).astype(np.float32).reshape(height, width)
 
 
-def _geometry(camera: Camera, shapes: Sequence[Shape], environment: NDArray[np.float32]) -> GeometryBuffers:
+def _geometry(camera: Camera, shapes: Sequence[Shape], environment: Float32) -> GeometryBuffers:
     """Return what the rays through the pixels' centres hit."""
     traced = _trace(camera, shapes, (0.5, 0.5))
     ids, nearest, directions = traced

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from multilight.datagen.backends.analytic.shapes import Ball, Float64, Plate, Shape, column, dot
+from multilight.datagen.backends.analytic.shapes import Ball, Plate, Shape, column, dot
 from multilight.datagen.backends.protocol import BackendError
 from multilight.lights.spec import EmissiveLight, EnvironmentLight, Light, LightRig, PointLight, SpotLight, SunLight
+from multilight.scenes.arrays import Float64
 from multilight.scenes.frozen import Rgb
 from multilight.scenes.spec import SceneSpec, Sphere
 

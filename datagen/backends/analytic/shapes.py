@@ -7,12 +7,10 @@ point alike whatever its neighbours: a body that shadows nothing can be taken aw
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multilight.datagen.backends.protocol import BackendError
+from multilight.scenes.arrays import Float64
 from multilight.scenes.spec import Body, Material, MeshAsset, Rectangle, SceneSpec, Sphere
-
-Float64 = NDArray[np.float64]
 
 PLAIN = "the analytic renderer draws plain diffuse spheres and rectangles: use the renderer cycles for it"
 _TOUCH = 1e-9

@@ -12,8 +12,9 @@ from multilight.datagen.backends.blender.film import Passes, beauty_filter, cent
 from multilight.datagen.backends.blender.materials import ALBEDO_AOV, SURFACE_AOV
 from multilight.datagen.backends.blender.scene import SyncedScene, place_camera, projected_border
 from multilight.datagen.backends.protocol import BackendError, RenderJob, RenderSettings, split_variant
-from multilight.datagen.storage.layers import Float32, GeometryBuffers, LayerStack
+from multilight.datagen.storage.layers import GeometryBuffers, LayerStack
 from multilight.lights.spec import LightRig
+from multilight.scenes.arrays import Float32
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.spec import Camera, SceneSpec
 

@@ -10,12 +10,12 @@ from pathlib import Path
 import bpy
 import numpy as np
 import OpenEXR
-from numpy.typing import NDArray
 
 from multilight.datagen.backends.blender.materials import ALBEDO_AOV, SURFACE_AOV
 from multilight.datagen.backends.protocol import BackendError, RenderSettings
+from multilight.scenes.arrays import Float32
 
-Passes = dict[str, NDArray[np.float32]]
+Passes = dict[str, Float32]
 _LAYER = "view"
 
 
@@ -113,7 +113,7 @@ def _memory_file() -> Iterator[str]:
 
 def _read(path: str) -> Passes:
     """Read a multilayer file and join its channels (`view.<pass>.<channel>`) to passes."""
-    channels: dict[str, dict[str, NDArray[np.float32]]] = {}
+    channels: dict[str, dict[str, Float32]] = {}
     with OpenEXR.File(path, separate_channels=True, num_threads=0) as file:
         for name, channel in file.parts[0].channels.items():
             group, _, letter = name.removeprefix(f"{_LAYER}.").rpartition(".")
@@ -121,7 +121,7 @@ def _read(path: str) -> Passes:
     return {name: _join(letters) for name, letters in channels.items()}
 
 
-def _join(letters: dict[str, NDArray[np.float32]]) -> NDArray[np.float32]:
+def _join(letters: dict[str, Float32]) -> Float32:
     if len(letters) == 1:
         return next(iter(letters.values()))
     return np.stack([letters[letter] for letter in "RGBAXYZ" if letter in letters], axis=-1)

@@ -5,13 +5,13 @@ from itertools import product
 import bpy
 import numpy as np
 from mathutils import Matrix
-from numpy.typing import NDArray
 
 from multilight.datagen.backends.blender import lights as blender_lights
 from multilight.datagen.backends.blender import meshes
 from multilight.datagen.backends.blender.materials import Materials
 from multilight.datagen.backends.protocol import BackendError
 from multilight.lights.spec import EmissiveLight, EnvironmentLight, LightRig
+from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.cameras.pinhole import circle_of_confusion
 from multilight.scenes.spec import Body, Camera, MeshAsset, Rectangle, SceneSpec, Sphere
@@ -47,7 +47,7 @@ class SyncedScene:
         bpy.context.scene.collection.objects.link(camera)
         bpy.context.scene.camera = camera
 
-    def box(self, name: str) -> NDArray[np.float64]:
+    def box(self, name: str) -> Float64:
         """Return the eight corners of boxes round a body's objects, (8 n, 3) float64, world metres."""
         corners = []
         for placed in self.objects[name]:
@@ -147,7 +147,7 @@ def place_camera(camera: Camera) -> None:
         data.dof.aperture_fstop = data.lens / 1000.0 / (2.0 * camera.aperture_radius)
 
 
-def projected_border(camera: Camera, corners: NDArray[np.float64]) -> tuple[int, int, int, int] | None:
+def projected_border(camera: Camera, corners: Float64) -> tuple[int, int, int, int] | None:
     """Return the pixels that may see a box: (left, top, right, bottom), right and bottom excluded.
 
     The whole picture where a corner lies behind the camera; None where the box is out of sight.

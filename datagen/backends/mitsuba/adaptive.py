@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import find_objects, maximum_filter, uniform_filter
 
-from multilight.datagen.storage.layers import Float32
+from multilight.scenes.arrays import Float32, Int64, UInt32
 
 FIRST = 4
 """Blocks for every pixel."""
@@ -34,8 +34,8 @@ class Blocks:
     """Blocks of `size` samples, pixel by pixel: each one's `pixel` (N,) uint32 and `first` sample (N,) uint32."""
 
     size: int
-    pixel: NDArray[np.uint32]
-    first: NDArray[np.uint32]
+    pixel: UInt32
+    first: UInt32
 
     def __len__(self) -> int:
         return len(self.pixel)
@@ -119,14 +119,14 @@ def _alike(guides: Float32) -> Float32:
     return found
 
 
-def _shared_out(need: Float32, cost: Float32, budget: float, most: int) -> NDArray[np.int64]:
+def _shared_out(need: Float32, cost: Float32, budget: float, most: int) -> Int64:
     """Return how many blocks each pixel gets beyond FIRST, so that with these they follow need over root of cost, (P,).
 
     None gets more than `most`, so some of the budget may be left over.
     """
     share = (need / max(float(need.mean()), 1e-30) + EVEN) / np.sqrt(cost)
 
-    def counts(scale: float) -> NDArray[np.int64]:
+    def counts(scale: float) -> Int64:
         return np.clip(np.rint(scale * share - FIRST), 0, most).astype(np.int64)
 
     low, high = 0.0, (most + FIRST + 1) / float(share.min())

@@ -8,17 +8,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multilight.datagen.backends.protocol import BackendError
 from multilight.lights.spec import EmissiveLight, LightRig
+from multilight.scenes.arrays import Float32, Float64, Mask, UInt32
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.files.limits import open_picture
 from multilight.scenes.meshes import MeshPart, rectangle_part, sphere_part
 from multilight.scenes.spec import Body, Material, MeshAsset, Rectangle, SceneSpec, Sphere, Texture
 
-Float32 = NDArray[np.float32]
-UInt32 = NDArray[np.uint32]
 NONE = 0xFFFFFFFF
 """Stands for no texture and no light."""
 
@@ -41,7 +39,7 @@ class SceneArrays:
     see_through: bool
     glass: bool
 
-    def of_bodies(self, names: Iterable[str]) -> NDArray[np.bool_]:
+    def of_bodies(self, names: Iterable[str]) -> Mask:
         """Tell which triangles belong to some bodies, (F,) bool."""
         mine = np.zeros(len(self.faces), bool)
         for name in names:
@@ -49,7 +47,7 @@ class SceneArrays:
             mine[first : first + count] = True
         return mine
 
-    def let_light_through(self) -> NDArray[np.bool_]:
+    def let_light_through(self) -> Mask:
         """Tell which triangles are, or may be, less than opaque, (F,) bool."""
         rows = (self.values[:, 3] < 1) | (self.links[:, 7] != 0)
         return rows[self.faces[:, 3]]
@@ -136,7 +134,7 @@ def parts_of(body: Body, library: AssetLibrary) -> Sequence[MeshPart]:
             return mesh.parts
 
 
-def place_part(part: MeshPart, pose: NDArray[np.float64]) -> Float32:
+def place_part(part: MeshPart, pose: Float64) -> Float32:
     """Place a part in the world: (V, 8) float32 position, unit normal, uv."""
     normals = part.normals @ np.linalg.inv(pose[:3, :3])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)

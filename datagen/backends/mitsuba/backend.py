@@ -21,8 +21,9 @@ from multilight.datagen.backends.mitsuba.lights import emitters_of
 from multilight.datagen.backends.mitsuba.sampling import Sampler, stream_of
 from multilight.datagen.backends.mitsuba.surfaces import Surfaces, build
 from multilight.datagen.backends.protocol import BackendError, RenderJob, RenderSettings, split_variant
-from multilight.datagen.storage.layers import Float32, LayerStack
+from multilight.datagen.storage.layers import LayerStack
 from multilight.lights.spec import EmissiveLight, LightRig
+from multilight.scenes.arrays import Float32
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.spec import Camera, SceneSpec
 

@@ -5,10 +5,11 @@ from typing import Any
 
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
+
+from multilight.scenes.arrays import Float32
 
 
-def envmap(pixels: NDArray[np.float32], rotation: float) -> dict[str, Any]:
+def envmap(pixels: Float32, rotation: float) -> dict[str, Any]:
     """Describe an emitter that shows a map, (H, W, 3) float32, as `lights.spec.EnvironmentLight` lays it out."""
     turn = mi.ScalarTransform4f().rotate([0, 0, 1], math.degrees(rotation))
     # Mitsuba's maps have +Y up and their centre column along +Z.
@@ -16,7 +17,7 @@ def envmap(pixels: NDArray[np.float32], rotation: float) -> dict[str, Any]:
     return {"type": "envmap", "bitmap": mi.Bitmap(_rows_at_poles(pixels)), "to_world": turn @ axes}
 
 
-def _rows_at_poles(pixels: NDArray[np.float32]) -> NDArray[np.float32]:
+def _rows_at_poles(pixels: Float32) -> Float32:
     """Put rows between the rows: Mitsuba's first and last row lie on the poles, ours half a row off.
 
     Interpolated in Mitsuba's way, the result is the map interpolated in ours.

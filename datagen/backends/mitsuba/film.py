@@ -5,11 +5,10 @@ from collections.abc import Collection, Iterable
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
 from multilight.datagen.backends.mitsuba.adaptive import Blocks
 from multilight.datagen.backends.mitsuba.device import on_device
-from multilight.datagen.storage.layers import Float32
+from multilight.scenes.arrays import Float32, Int64
 
 Key = tuple[str, str]
 """A variant or a mask, and the object that it is of."""
@@ -22,7 +21,7 @@ class Film:
 
     def __init__(self, height: int, width: int) -> None:
         self._shape = height, width
-        self._samples: NDArray[np.int64] = np.zeros(height * width, np.int64)
+        self._samples: Int64 = np.zeros(height * width, np.int64)
         self._sums: dict[Key, list[mi.Float]] = {}
         self._squares: dict[Key, list[mi.Float]] = {}
 

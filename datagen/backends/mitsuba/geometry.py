@@ -6,7 +6,8 @@ import numpy as np
 
 from multilight.datagen.backends.mitsuba.cameras import Lens
 from multilight.datagen.backends.mitsuba.integrator import SEE_THROUGH_SURFACES, World
-from multilight.datagen.storage.layers import Float32, GeometryBuffers
+from multilight.datagen.storage.layers import GeometryBuffers
+from multilight.scenes.arrays import Float32
 from multilight.scenes.spec import Camera
 
 HALF = 0.5

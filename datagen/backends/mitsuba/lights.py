@@ -14,7 +14,6 @@ from pathlib import Path
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
 from multilight.datagen.backends.mitsuba.arrays import SceneArrays
@@ -32,6 +31,7 @@ from multilight.lights.spec import (
     SpotLight,
     SunLight,
 )
+from multilight.scenes.arrays import Float32, Float64
 from multilight.scenes.assets.environments import read_environment
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.frozen import Rgb, Vector3
@@ -49,7 +49,7 @@ class Sample:
     pdf: mi.Float
 
 
-def _vector(value: Vector3 | NDArray[np.float64]) -> mi.Vector3f:
+def _vector(value: Vector3 | Float64) -> mi.Vector3f:
     return mi.Vector3f(*(opaque(v) for v in value))
 
 
@@ -60,7 +60,7 @@ def _color(value: Rgb) -> mi.Color3f:
 CLAMPED = {"filter_mode": dr.FilterMode.Linear, "wrap_mode": dr.WrapMode.Clamp}
 
 
-def _grey(path: Path) -> NDArray[np.float32]:
+def _grey(path: Path) -> Float32:
     """Read an image as (H, W, 1) float32 in [0, 1], without decoding."""
     with Image.open(path) as picture:
         return np.asarray(picture.convert("L"), np.float32)[..., None] / 255

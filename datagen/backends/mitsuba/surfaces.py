@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
 from multilight.datagen.backends.mitsuba.arrays import NONE, SceneArrays
 from multilight.datagen.backends.mitsuba.device import on_device
+from multilight.scenes.arrays import Mask
 
 VALUES, LINKS = 20, 16
 BASE, ROUGH, COAT, REPEAT, REPEAT2 = 0, 4, 8, 12, 16
@@ -203,7 +203,7 @@ class Soup:
         return dr.gather(mi.UInt32, self.original, found.prim_index, active)
 
 
-def build(arrays: SceneArrays, chosen: NDArray[np.bool_]) -> Soup | None:
+def build(arrays: SceneArrays, chosen: Mask) -> Soup | None:
     """Build an acceleration structure over the chosen triangles; None where there are none."""
     original = np.flatnonzero(chosen).astype(np.uint32)
     if not original.size:

@@ -5,9 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
 from multilight.datagen.errors import UserError
 from multilight.datagen.export.captures.points import ScenePoints, scene_points
 from multilight.datagen.export.images import depth_mm, png, share_to_byte
@@ -18,9 +15,8 @@ from multilight.datagen.storage.source import DatasetSource
 from multilight.datagen.tuples import compose
 from multilight.lights.display.tonemap import to_display
 from multilight.lights.spec import LightingCondition
+from multilight.scenes.arrays import Float32, UInt8
 from multilight.scenes.streams import Streams
-
-Float32 = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -39,7 +35,7 @@ class Capture:
 
     scene: SceneViews
     condition: LightingCondition
-    images: tuple[NDArray[np.uint8], ...]
+    images: tuple[UInt8, ...]
 
 
 Write = Callable[[Capture, Path], None]

@@ -8,11 +8,11 @@ import struct
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from multilight.datagen.export.captures.capture import Capture, write_pictures
 from multilight.datagen.export.captures.points import ScenePoints, Sighting, sightings
+from multilight.scenes.arrays import UInt8
 from multilight.scenes.cameras.pinhole import opencv_from_opengl
 from multilight.scenes.spec import Camera
 
@@ -54,7 +54,7 @@ def _images(cameras: tuple[Camera, ...], seen: list[Sighting]) -> bytes:
     return b"".join(parts)
 
 
-def _points(points: ScenePoints, colours: NDArray[np.uint8], seen: list[Sighting]) -> bytes:
+def _points(points: ScenePoints, colours: UInt8, seen: list[Sighting]) -> bytes:
     tracks: list[list[tuple[int, int]]] = [[] for _ in points.xyz]
     for number, sighting in enumerate(seen, 1):
         for place, point in enumerate(sighting.point):

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from multilight.scenes.arrays import Float32, Float64, Int64, UInt8
 from multilight.scenes.cameras.pinhole import project, unproject
 from multilight.scenes.spec import Camera
 
@@ -21,13 +21,13 @@ class ScenePoints:
     Each was lifted from the centre of pixel (`x`, `y`) of view `view`, (N,) int64 each.
     """
 
-    xyz: NDArray[np.float64]
-    normals: NDArray[np.float32]
-    view: NDArray[np.int64]
-    x: NDArray[np.int64]
-    y: NDArray[np.int64]
+    xyz: Float64
+    normals: Float32
+    view: Int64
+    x: Int64
+    y: Int64
 
-    def colours(self, images: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:
+    def colours(self, images: Sequence[UInt8]) -> UInt8:
         """Look the points' colours up in the pictures (H, W, 3) of the views they come from: (N, 3) uint8."""
         return np.stack(images)[self.view, self.y, self.x]
 
@@ -36,14 +36,14 @@ class ScenePoints:
 class Sighting:
     """What one view sees of the points: their indices (M,) int64 and pixels (M, 2) float64, centres at + 0.5."""
 
-    point: NDArray[np.int64]
-    pixels: NDArray[np.float64]
+    point: Int64
+    pixels: Float64
 
 
 def scene_points(
     cameras: Sequence[Camera],
-    depths: Sequence[NDArray[np.float32]],
-    normals: Sequence[NDArray[np.float32]],
+    depths: Sequence[Float32],
+    normals: Sequence[Float32],
     *,
     count: int,
     rng: np.random.Generator,
@@ -60,7 +60,7 @@ def scene_points(
     return ScenePoints(lifted[view, y, x], np.stack(normals)[view, y, x], view, x, y)
 
 
-def sightings(points: ScenePoints, cameras: Sequence[Camera], depths: Sequence[NDArray[np.float32]]) -> list[Sighting]:
+def sightings(points: ScenePoints, cameras: Sequence[Camera], depths: Sequence[Float32]) -> list[Sighting]:
     """Say which view sees which point, and where: those in the picture whose depth is the pixel's own within 1 %."""
     found = []
     for number, (camera, stored) in enumerate(zip(cameras, depths, strict=True)):
@@ -74,7 +74,7 @@ def sightings(points: ScenePoints, cameras: Sequence[Camera], depths: Sequence[N
     return found
 
 
-def write_ply(path: Path, points: ScenePoints, colours: NDArray[np.uint8]) -> None:
+def write_ply(path: Path, points: ScenePoints, colours: UInt8) -> None:
     """Write the points as binary PLY: x, y, z, nx, ny, nz (float), red, green, blue (uchar)."""
     kinds = [(name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz")]
     kinds += [(name, "u1") for name in ("red", "green", "blue")]

@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
+
+from multilight.scenes.arrays import UInt8
 
 COMPRESSION = 4  # of PNG: half the time of the usual 6, and 4 % larger
 
 
-def write_png(path: Path, picture: NDArray[np.uint8]) -> None:
+def write_png(path: Path, picture: UInt8) -> None:
     """Write an 8-bit picture, (H, W) grey or (H, W, 3) RGB, making its folder where it is missing."""
     path.parent.mkdir(parents=True, exist_ok=True)
     Image.fromarray(np.ascontiguousarray(picture)).save(path, compress_level=COMPRESSION)

@@ -15,13 +15,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multilight.datagen.export.dtc.files import repeat, write_json, write_png
 from multilight.datagen.export.dtc.scene import Geometry
+from multilight.scenes.arrays import UInt8
 from multilight.scenes.spec import Camera
 
-UInt8 = NDArray[np.uint8]
 FIELD_TOLERANCE = 1e-6  # of focal lengths that count as one
 
 

@@ -9,13 +9,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multilight.datagen.export.dtc.files import repeat, write_json, write_png
 from multilight.datagen.export.dtc.scene import Geometry
+from multilight.scenes.arrays import UInt8
 from multilight.scenes.gaussians.from_views import SceneGaussians, gaussians_from_views
 
-UInt8 = NDArray[np.uint8]
 REMOVED = 127
 """What a background's map shows on the removed object's own Gaussians."""
 

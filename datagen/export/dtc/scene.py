@@ -15,9 +15,9 @@ from multilight.datagen.storage.store import ViewData
 from multilight.datagen.tuples import compose
 from multilight.lights.display.reinhard import Metering, ViewMetering, join, meter_view
 from multilight.lights.spec import LightingCondition
+from multilight.scenes.arrays import Float32, Int64, UInt8
 from multilight.scenes.spec import Camera
 
-UInt8 = NDArray[np.uint8]
 VARIANTS = 2  # the published set's lightings are numbered in pairs
 
 
@@ -73,7 +73,7 @@ class Frame:
     def _scale(self) -> tuple[float, float]:
         return self.shape[0] / self.rendered[0], self.shape[1] / self.rendered[1]
 
-    def _under(self, axis: int) -> NDArray[np.int64]:
+    def _under(self, axis: int) -> Int64:
         """Return the rendered pixel under each stored pixel's centre, along one axis."""
         centres = np.arange(self.size) + self.corner[axis] + 0.5
         return np.floor(centres / self._scale()[axis]).astype(np.int64)
@@ -115,9 +115,9 @@ class Geometry:
 
     cameras: tuple[Camera, ...]
     picked: tuple[Camera, ...]
-    z_depths: NDArray[np.float32]
+    z_depths: Float32
     instance_ids: NDArray[np.uint16]
-    normals: NDArray[np.float32]
+    normals: Float32
     depths: UInt8
     environments: UInt8
     masks: UInt8

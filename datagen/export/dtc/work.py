@@ -9,24 +9,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from multilight.datagen.export.dtc import maps2d as dtc2d
 from multilight.datagen.export.dtc import maps3d as dtc3d
 from multilight.datagen.export.dtc.scene import Frame, Geometry, Lighting, survey, views
 from multilight.datagen.storage.copies import files_of, whole_folder
-from multilight.datagen.storage.layers import Float32
 from multilight.datagen.storage.manifest import FileEntry
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.source import DatasetSource, open_dataset
 from multilight.datagen.tuples import compose
 from multilight.lights.display.reinhard import tone_map
 from multilight.lights.spec import LightingCondition
+from multilight.scenes.arrays import Float32, UInt8
 from multilight.scenes.gaussians.from_views import SceneGaussians
 from multilight.scenes.streams import Streams
-
-UInt8 = NDArray[np.uint8]
 
 
 @dataclass(frozen=True)

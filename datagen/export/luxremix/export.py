@@ -21,7 +21,6 @@ from multilight.datagen.export.images import jpeg, png, share_to_byte
 from multilight.datagen.export.luxremix.meta import Passes, draw_passes, metadata
 from multilight.datagen.export.tars import TarShards
 from multilight.datagen.storage.copies import Copy, files_of, making, whole_folder
-from multilight.datagen.storage.layers import Float32
 from multilight.datagen.storage.manifest import ScenePart, scene_part
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.source import DatasetSource
@@ -29,6 +28,7 @@ from multilight.datagen.storage.store import ViewData, in_half
 from multilight.lights.display.tonemap import to_display
 from multilight.lights.relight import mix
 from multilight.lights.spec import EmissiveLight
+from multilight.scenes.arrays import Float32, UInt8
 from multilight.scenes.cameras.pinhole import ray_distance_from_z_depth
 from multilight.scenes.colour import srgb_encode
 
@@ -165,7 +165,7 @@ def _write_geometry(folder: Path, number: int, view: ViewData, record: SceneReco
     (folder / f"{stem}.diffcol.jpg").write_bytes(jpeg(share_to_byte(srgb_encode(buffers.albedo)), quality=98))
 
 
-def light_masks(view: ViewData, record: SceneRecord, passes: Passes) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+def light_masks(view: ViewData, record: SceneRecord, passes: Passes) -> tuple[UInt8, UInt8]:
     """Paint the bodies that glow, and the parts of them that shine, in their light's colour, (H, W, 3) uint8 each."""
     ids = view.geometry.instance_id
     fixtures, sources = np.zeros((2, *ids.shape, 3), np.uint8)

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from multilight.datagen.storage.records import SceneRecord
@@ -22,6 +21,7 @@ from multilight.lights.spec import (
     SpotLight,
     SunLight,
 )
+from multilight.scenes.arrays import Float64
 from multilight.scenes.frozen import Rgb
 from multilight.scenes.spec import Camera
 from multilight.scenes.streams import Streams
@@ -117,7 +117,7 @@ def _quantity(light: Light) -> Rgb:
             return light.radiance
 
 
-def _position(record: SceneRecord, light: Light) -> NDArray[np.float64]:
+def _position(record: SceneRecord, light: Light) -> Float64:
     match light:
         case SunLight():
             way = -np.array(light.direction)

@@ -8,9 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from multilight.scenes.arrays import Float64, Int64
+
 SEAM = 0.1
 """The way around a lathe is rounded to a multiple of this [m]: textures of that size (or a part) meet."""
 
@@ -19,10 +20,10 @@ SEAM = 0.1
 class Surface:
     """Triangles: vertices (V, 3) m, faces (F, 3) counter-clockwise from outside, normals (V, 3), uv."""
 
-    vertices: Array
-    faces: NDArray[np.int64]
-    normals: Array
-    uv: Array
+    vertices: Float64
+    faces: Int64
+    normals: Float64
+    uv: Float64
 
     def moved(self, offset: ArrayLike = (0.0, 0.0, 0.0), rotation: ArrayLike | None = None) -> "Surface":
         """Rotate by a 3x3 matrix, then shift [m]."""
@@ -42,7 +43,7 @@ def merge(surfaces: Sequence[Surface]) -> Surface:
     )
 
 
-def rotation(axis: str, angle: float) -> Array:
+def rotation(axis: str, angle: float) -> Float64:
     """Return the 3x3 matrix that turns by `angle` [rad] counter-clockwise about `x`, `y` or `z`."""
     i, j = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
     matrix = np.eye(3)
@@ -52,7 +53,7 @@ def rotation(axis: str, angle: float) -> Array:
     return matrix
 
 
-def from_grid(points: Array, normals: Array, uv: Array) -> Surface:
+def from_grid(points: Float64, normals: Float64, uv: Float64) -> Surface:
     """Triangulate an (M, N) grid of points; faces turn to agree with the normals, slivers are dropped."""
     rows, columns = points.shape[:2]
     index = np.arange(rows * columns).reshape(rows, columns)
@@ -66,14 +67,14 @@ def from_grid(points: Array, normals: Array, uv: Array) -> Surface:
     return Surface(flat, faces[np.linalg.norm(cross, axis=1) > 1e-12], flat_normals, uv.reshape(-1, 2))
 
 
-def rounded(corners: ArrayLike, radius: ArrayLike, *, closed: bool = False, steps: int = 6) -> Array:
+def rounded(corners: ArrayLike, radius: ArrayLike, *, closed: bool = False, steps: int = 6) -> Float64:
     """Round the corners of a 2-D polyline with arcs.
 
     `corners` (N, 2), `radius` one for all or (N,); an arc never takes more than half of a neighbouring edge.
     """
     points = np.asarray(corners, np.float64)
     radii = np.broadcast_to(np.asarray(radius, np.float64), len(points))
-    result: list[Array] = []
+    result: list[Float64] = []
     for i, point in enumerate(points):
         if (not closed and i in (0, len(points) - 1)) or radii[i] <= 0:
             result.append(point[None])
@@ -94,7 +95,7 @@ def rounded(corners: ArrayLike, radius: ArrayLike, *, closed: bool = False, step
     return np.concatenate(result)
 
 
-def _profile(points: Array, *, crease: float = 0.7) -> tuple[Array, Array, Array]:
+def _profile(points: Float64, *, crease: float = 0.7) -> tuple[Float64, Float64, Float64]:
     """Give each point of a 2-D profile its right-hand normal; corners sharper than `crease` [rad] are split.
 
     Normals are averaged by edge length, so that long flats keep theirs. Returns points, normals, arc length.
@@ -163,7 +164,7 @@ def torus(major: float, minor: float, *, segments: int = 64) -> Surface:
     return from_grid(centres + minor * normals, normals, uv)
 
 
-def _frames(path: Array) -> tuple[Array, Array, Array]:
+def _frames(path: Float64) -> tuple[Float64, Float64, Float64]:
     """Carry a frame along a path with the least twist: tangents and two sides, (N, 3) each."""
     tangents = np.gradient(path, axis=0)
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
@@ -247,7 +248,7 @@ def prism(outline: ArrayLike, height: float, bevel: float) -> Surface:
     return merge([wall, _cap(grid[0], -1.0), _cap(grid[-1], 1.0)])
 
 
-def _cap(ring: Array, sign: float) -> Surface:
+def _cap(ring: Float64, sign: float) -> Surface:
     """Close a flat ring with a fan."""
     fan = np.stack([np.broadcast_to(ring.mean(axis=0), ring.shape), ring])
     normals = np.broadcast_to(np.array([0.0, 0.0, sign]), fan.shape)

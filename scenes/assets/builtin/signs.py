@@ -4,10 +4,10 @@ from itertools import pairwise
 
 import numpy as np
 
+from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.builtin.lamps import GLOW
 from multilight.scenes.assets.builtin.parts import Part, Rng, metal, pick
 from multilight.scenes.assets.builtin.primitives import (
-    Array,
     Surface,
     from_grid,
     merge,
@@ -42,7 +42,7 @@ _LETTERS: dict[str, list[Line]] = {
 _WORDS = ("HI", "LOVE", "BAR", "YES", "GO", "OH")
 
 
-def _shape(rng: Rng) -> list[Array]:
+def _shape(rng: Rng) -> list[Float64]:
     """Draw the outline of a sign, about 2 units high, as lines of (x, z): a drawing or a word."""
     t = np.linspace(0.02, 2 * np.pi - 0.02, 120)
     match int(rng.integers(9)):
@@ -74,7 +74,7 @@ def _shape(rng: Rng) -> list[Array]:
     return lines
 
 
-def _bent(corners: Array | Line, radius: float) -> Array:
+def _bent(corners: Float64 | Line, radius: float) -> Float64:
     """Bend a tube's line round its corners, with points close together."""
     flat = rounded(corners, radius, steps=8)
     return np.concatenate([np.linspace(a, b, 6)[:-1] for a, b in pairwise(flat)] + [flat[-1:]])

@@ -13,13 +13,12 @@ from pathlib import Path
 
 import numpy as np
 import OpenEXR
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from multilight.scenes.arrays import Float32, Float64
 from multilight.scenes.assets.cache import write_once
 from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.colour import LUMINANCE_WEIGHTS, RGB_FROM_XYZ
-
-Float64 = NDArray[np.float64]
 
 ELEVATIONS = (3, 8, 15, 25, 40, 60)
 """Heights of the sun above the horizon [degrees] for which there is a map."""
@@ -152,7 +151,7 @@ def colour_matching(nm: ArrayLike) -> Float64:
     return np.stack([x, y, z], axis=-1)
 
 
-def sky_map(name: str) -> NDArray[np.float32]:
+def sky_map(name: str) -> Float32:
     """Make the map of a name such as `sky-25-3`: (ROWS, 2 ROWS, 3) float32, linear Rec.709 [kcd/m²].
 
     The lower half is ground of reflectance `GROUND` under sky and sun, fading into the horizon's haze. The layout is

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.builtin.parts import (
     BOTTLE_TINTS,
     Part,
@@ -15,11 +16,11 @@ from multilight.scenes.assets.builtin.parts import (
     patterned,
     pick,
 )
-from multilight.scenes.assets.builtin.primitives import Array, lathe, merge, rounded, sphere, tube
+from multilight.scenes.assets.builtin.primitives import lathe, merge, rounded, sphere, tube
 from multilight.scenes.spec import Material, Rgb
 
 
-def vessel(outer: Array, wall: float, *, lip: float = 0.5) -> Array:
+def vessel(outer: Float64, wall: float, *, lip: float = 0.5) -> Float64:
     """Close an outer profile (radius, z), bottom axis to rim, into a hollow shape of the given wall."""
     edges = np.gradient(outer, axis=0)
     normals = np.stack([edges[:, 1], -edges[:, 0]], -1)
@@ -36,7 +37,7 @@ def vessel(outer: Array, wall: float, *, lip: float = 0.5) -> Array:
     return np.concatenate([outer, arc, inner, end])
 
 
-def curve(points: list[tuple[float, float]], *, smooth: int = 48) -> Array:
+def curve(points: list[tuple[float, float]], *, smooth: int = 48) -> Float64:
     """Run a monotone spline of height through (radius, z) points."""
     from scipy.interpolate import PchipInterpolator
 
@@ -45,7 +46,7 @@ def curve(points: list[tuple[float, float]], *, smooth: int = 48) -> Array:
     return np.stack([PchipInterpolator(z, radius)(levels), levels], -1)
 
 
-def footed(wall: Array, bevel: float = 0.003) -> Array:
+def footed(wall: Float64, bevel: float = 0.003) -> Float64:
     """Add a flat foot with a rounded edge below an outer wall that starts at z = 0."""
     corner = rounded([(0, 0), (wall[0, 0], 0), tuple(wall[min(6, len(wall) - 1)])], bevel)
     return np.concatenate([corner, wall[7:]])

@@ -3,14 +3,13 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from multilight.scenes.arrays import Float64, Int64, Mask
 from multilight.scenes.meshes import Mesh, MeshPart
 from multilight.scenes.spec import Material
 
-Array = NDArray[np.float64]
 Z_UP_FROM_Y_UP = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
 CREASE = np.radians(44.0)
 """Faces that meet at a larger angle get a sharp edge where the file gives no normals."""
@@ -25,13 +24,13 @@ class RawPart:
     """Triangles of one material as a file gives them: vertices (V, 3), faces (F, 3), normals (V, 3), uv (V, 2)."""
 
     material: Material
-    vertices: Array
-    faces: NDArray[np.int64]
-    normals: Array | None
-    uv: Array | None
+    vertices: Float64
+    faces: Int64
+    normals: Float64 | None
+    uv: Float64 | None
 
 
-def transformed(parts: list[RawPart], matrix: Array) -> list[RawPart]:
+def transformed(parts: list[RawPart], matrix: Float64) -> list[RawPart]:
     """Apply a 3x3 matrix (rotation and scale) to vertices, and its inverse transpose to normals."""
     turn = np.linalg.inv(matrix)
     flip = np.linalg.det(matrix) < 0
@@ -46,7 +45,7 @@ def transformed(parts: list[RawPart], matrix: Array) -> list[RawPart]:
     ]
 
 
-def extent(parts: list[RawPart]) -> tuple[Array, Array]:
+def extent(parts: list[RawPart]) -> tuple[Float64, Float64]:
     """Return the lowest and the highest corner of what the faces use, (3,) each."""
     points = np.concatenate([part.vertices[np.unique(part.faces)] for part in parts])
     return points.min(axis=0), points.max(axis=0)
@@ -99,21 +98,19 @@ def _clean(part: RawPart, size: float, turn_out: bool) -> MeshPart | None:
     return _indexed(part.material, part.vertices[faces], corner_normals, uv[faces])
 
 
-def _weld(vertices: Array, tolerance: float) -> tuple[Array, NDArray[np.int64]]:
+def _weld(vertices: Float64, tolerance: float) -> tuple[Float64, Int64]:
     """Merge vertices that share a place: the places (W, 3), and each vertex's place (V,)."""
     keys = np.round(vertices / max(tolerance, 1e-12)).astype(np.int64)
     _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     return vertices[first], inverse.reshape(-1)
 
 
-def _cross(vertices: Array, faces: NDArray[np.int64]) -> Array:
+def _cross(vertices: Float64, faces: Int64) -> Float64:
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     return np.cross(b - a, c - a)
 
 
-def _sound(
-    vertices: Array, faces: NDArray[np.int64], corner: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _sound(vertices: Float64, faces: Int64, corner: Int64) -> tuple[Int64, Int64]:
     """Keep faces with three different corners and an area, and the first of those with the same corners."""
     places = np.sort(corner[faces], axis=1)
     solid = (np.diff(places, axis=1) > 0).all(axis=1)
@@ -125,7 +122,7 @@ def _sound(
     return faces[kept], kept
 
 
-def _usable(normals: Array | None, faces: NDArray[np.int64]) -> bool:
+def _usable(normals: Float64 | None, faces: Int64) -> bool:
     """Tell whether the file's normals can be trusted: finite and not zero wherever a face uses them."""
     if normals is None:
         return False
@@ -133,7 +130,7 @@ def _usable(normals: Array | None, faces: NDArray[np.int64]) -> bool:
     return bool(np.isfinite(used).all() and (np.linalg.norm(used, axis=1) > 1e-6).all())
 
 
-def _inside_out(places: Array, faces: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _inside_out(places: Float64, faces: Int64) -> Mask:
     """Find the faces of connected pieces that enclose a negative volume, (F,) bool."""
     count = len(places)
     ones = np.ones(2 * len(faces))
@@ -149,7 +146,7 @@ def _inside_out(places: Array, faces: NDArray[np.int64]) -> NDArray[np.bool_]:
     return (volume < -0.01 * np.maximum(area, 1e-30) ** 1.5)[piece]
 
 
-def _crease_normals(vertices: Array, faces: NDArray[np.int64], places: NDArray[np.int64]) -> Array:
+def _crease_normals(vertices: Float64, faces: Int64, places: Int64) -> Float64:
     """Average, for each corner, the normals of the faces around its place that bend less than `CREASE`, (F, 3, 3)."""
     cross = _cross(vertices, faces)
     unit = cross / np.linalg.norm(cross, axis=1, keepdims=True)
@@ -169,7 +166,7 @@ def _crease_normals(vertices: Array, faces: NDArray[np.int64], places: NDArray[n
     return np.where(length > 1e-9, total / np.maximum(length, 1e-9), np.repeat(unit, 3, axis=0)).reshape(-1, 3, 3)
 
 
-def _corner_angles(corners: Array) -> Array:
+def _corner_angles(corners: Float64) -> Float64:
     """Return the angle at each corner of each triangle, (F, 3) rad."""
     forward = np.roll(corners, -1, axis=1) - corners
     back = np.roll(corners, 1, axis=1) - corners
@@ -177,7 +174,7 @@ def _corner_angles(corners: Array) -> Array:
     return np.arccos(np.clip(cosine, -1, 1))
 
 
-def _indexed(material: Material, points: Array, normals: Array, uv: Array) -> MeshPart:
+def _indexed(material: Material, points: Float64, normals: Float64, uv: Float64) -> MeshPart:
     """Share the corners (F, 3, ...) that are equal in place, normal and uv."""
     table = np.concatenate([points, normals, uv], axis=-1).reshape(-1, 8).astype(np.float32)
     keys = np.concatenate([table[:, :3], np.round(table[:, 3:6], 3), table[:, 6:]], axis=1) + np.float32(0)

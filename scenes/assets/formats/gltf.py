@@ -8,9 +8,9 @@ from urllib.parse import unquote
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.formats.beside import load_scene
 from multilight.scenes.assets.formats.claims import Header, read_header
 from multilight.scenes.assets.formats.cleaning import Z_UP_FROM_Y_UP, RawPart
@@ -28,8 +28,6 @@ LIGHTS_KEY = "multilight_lights"
 EMISSION_NITS = 200.0
 """Luminance [cd/m²] of emission 1 where a file gives no KHR_materials_emissive_strength: a screen's white."""
 _NOT_READ = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_texture_basisu", "EXT_texture_webp")
-
-Float64 = NDArray[np.float64]
 
 
 def read_gltf(path: Path, keep: KeepImage) -> Imported:

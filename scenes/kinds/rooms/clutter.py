@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.kinds.rooms.footing import Standing, standing_of
 from multilight.scenes.kinds.rooms.layouts import RoomType
@@ -14,8 +14,6 @@ from multilight.scenes.kinds.rooms.shelves import Shelf
 from multilight.scenes.materials import GLOW, body_materials
 from multilight.scenes.spec import Material
 from multilight.scenes.still_life.placement import PlacementError
-
-Float64 = NDArray[np.float64]
 
 EDGE = 0.008
 """Smallest distance [m] of a footprint to the edge of its surface."""

@@ -3,17 +3,15 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from trimesh import Trimesh
 
+from multilight.scenes.arrays import Float64
 from multilight.scenes.geometry.support_surfaces import convex_polygon, inside_convex, stacked_faces
 from multilight.scenes.kinds.rooms.shelves import Shelf, find_shelves
 from multilight.scenes.meshes import Mesh
 
 TOUCHES = 0.0008
 """Vertices this close [m] to the lowest one carry a body."""
-
-Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from trimesh import Trimesh
 from trimesh.collision import CollisionManager
 
+from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.info import AssetInfo, AssetRole
 from multilight.scenes.assets.library import AssetError, AssetLibrary
 from multilight.scenes.cameras.pinhole import matrix4
@@ -36,8 +36,6 @@ ON_WALLS = frozenset(
     {"picture", "mirror", "shelf", "wall_clock", "wall_tv", "wall_unit_a", "wall_unit_b", "hood", "curtains"}
 )
 UNDER_CEILINGS = frozenset({"pendant", "ceilinglamp", "ceiling_lamp"})
-
-Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

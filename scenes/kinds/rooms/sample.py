@@ -3,7 +3,6 @@
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, PositiveInt, model_validator
 
 from multilight.scenes.assets.library import AssetLibrary
@@ -25,8 +24,6 @@ from multilight.scenes.still_life.sample import SceneSamplingError
 from multilight.scenes.streams import Streams
 
 ATTEMPTS = 16
-
-Float64 = NDArray[np.float64]
 
 
 class RoomShares(Frozen):

@@ -7,8 +7,8 @@ from -depth/2 to depth/2 in y. Walls, floor and ceiling overshoot each other, so
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.builtin.joinery import CASING, DOOR_PROUD, EAR, LINING, SILL, WINDOW_PROUD
 from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.assets.library import AssetLibrary
@@ -16,8 +16,6 @@ from multilight.scenes.kinds.rooms.finish import Palette
 from multilight.scenes.materials import painted_wall, pick_texture, sample_material, textured
 from multilight.scenes.spec import Body, Material, Rectangle
 from multilight.scenes.still_life.surroundings import upright
-
-Float64 = NDArray[np.float64]
 
 OVERSHOOT = 0.3
 """How far [m] walls, floor and ceiling run on behind each other."""

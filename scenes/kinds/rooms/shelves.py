@@ -3,15 +3,13 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 from trimesh import Trimesh
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
+from multilight.scenes.arrays import Float64, Mask
 from multilight.scenes.geometry.support_surfaces import SupportSurface, stacked_faces
 from multilight.scenes.meshes import Mesh
-
-Float64 = NDArray[np.float64]
 
 CELL = 0.015
 FLATNESS = 0.0005
@@ -93,7 +91,7 @@ def _distance_up(caster: RayMeshIntersector, solid: Trimesh, points: Float64) ->
     return np.where(face >= 0, np.maximum(height, 0.0), np.inf)
 
 
-def _largest_region(flat: NDArray[np.bool_], side: int) -> NDArray[np.bool_] | None:
+def _largest_region(flat: Mask, side: int) -> Mask | None:
     """Return the largest connected region that holds a square of `side` cells; None where there is none."""
     if not ndimage.binary_erosion(np.pad(flat, 1), np.ones((side, side))).any():
         return None

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from multilight.scenes.arrays import Float64, Mask
 from multilight.scenes.cameras.close_ups import CLEAR, closer_views, move_in
 from multilight.scenes.cameras.paths import DEFAULT_CAMERAS, CameraSettings, TrajectoryKind
 from multilight.scenes.cameras.pinhole import SENSOR_MM, camera_from_lens, look_at, pixel_rays
@@ -23,8 +23,6 @@ WALKS = 60
 BLOCKED = 0.6
 """A picture is blocked where more than `BLOCKED_SHARE` of it shows things closer than this [m]."""
 BLOCKED_SHARE = 0.12
-
-Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -48,7 +46,7 @@ class Room:
         points = np.concatenate(list(self.watched.values()))
         return np.asarray((points.min(axis=0) + points.max(axis=0)) / 2)
 
-    def is_free(self, eyes: Float64) -> NDArray[np.bool_]:
+    def is_free(self, eyes: Float64) -> Mask:
         """Tell for standpoints (N, 3) whether they keep clear of everything."""
         inside = (np.abs(eyes[:, :2]) < self.half - CLEARANCE).all(axis=1) & (eyes[:, 2] < self.height - CLEARANCE)
         in_box = (eyes[:, None] > self.low - CLEARANCE) & (eyes[:, None] < self.high + CLEARANCE)

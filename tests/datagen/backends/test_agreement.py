@@ -18,8 +18,8 @@ from multilight.datagen.backends.protocol import RenderJob, RenderSettings
 from multilight.datagen.config.dataset import DatasetConfig
 from multilight.datagen.production.denoise import denoise_all
 from multilight.datagen.production.scene import sample_scene
-from multilight.datagen.storage.layers import Float32
 from multilight.lights.display.tonemap import meter_ev, to_display
+from multilight.scenes.arrays import Float32
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.streams import Streams
 from tests.datagen.backends.calibration_scenes import LIGHTS, SURFACES, calibration_job

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 import pytest
-from numpy.typing import NDArray
 from PIL import Image
 
 from multilight.datagen.backends.blender import BlenderBackend
@@ -24,6 +23,7 @@ from multilight.lights.spec import (
     SpotLight,
     SunLight,
 )
+from multilight.scenes.arrays import Float32
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.frozen import Matrix4
 from multilight.scenes.meshes import Mesh, MeshPart
@@ -123,7 +123,7 @@ def geometry_of(stack: LayerStack) -> GeometryBuffers:
     return stack.geometry
 
 
-def centre(layer: NDArray[np.float32]) -> NDArray[np.float32]:
+def centre(layer: Float32) -> Float32:
     middle = layer.shape[0] // 2
     return layer[middle - 1 : middle + 1, middle - 1 : middle + 1].mean(axis=(0, 1))
 
@@ -261,7 +261,7 @@ def test_a_gobo_reads_the_right_way_round(blender: BlenderBackend) -> None:
     assert upright[8, 16, 1] > 0.03
 
 
-def weight_ratio(layer: NDArray[np.float32]) -> NDArray[np.float32]:
+def weight_ratio(layer: Float32) -> Float32:
     total = layer.sum(axis=(0, 1))
     return np.asarray(total / total[0])
 

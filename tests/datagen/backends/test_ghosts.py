@@ -16,8 +16,9 @@ from multilight.datagen.backends.machine.variants import choose_variant
 from multilight.datagen.backends.protocol import Backend, RenderJob, RenderSettings
 from multilight.datagen.production.stopwatch import Stopwatch
 from multilight.datagen.production.view import Shoot, render_view, shown_in
-from multilight.datagen.storage.layers import Float32, LayerStack
+from multilight.datagen.storage.layers import LayerStack
 from multilight.lights.spec import EnvironmentLight, LightRig, PointLight
+from multilight.scenes.arrays import Float32
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.cameras.pinhole import matrix4, pixel_rays
 from multilight.scenes.spec import Body, Material, Rectangle, SceneSpec, Sphere

@@ -7,7 +7,7 @@ import pytest
 
 from multilight.datagen.backends.choose import open_backend
 from multilight.datagen.backends.machine.variants import choose_variant
-from multilight.datagen.storage.layers import Float32
+from multilight.scenes.arrays import Float32
 from multilight.scenes.assets.library import AssetLibrary
 from tests.datagen.backends.goldens import CASES, FOLDER, REPEATS, Golden, golden_job, load
 

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from numpy.typing import NDArray
 from PIL import Image
 
 from multilight.datagen.cli import main
@@ -16,9 +15,9 @@ from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.source import DatasetSource, open_dataset
 from multilight.datagen.tuples import compose
 from multilight.lights.display.tonemap import to_display
+from multilight.scenes.arrays import Float64
 from multilight.scenes.spec import Rectangle, Sphere
 
-Float64 = NDArray[np.float64]
 POINTS = 3000
 
 

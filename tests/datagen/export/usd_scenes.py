@@ -5,7 +5,6 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multilight.datagen.storage.records import AssetCredit, SceneRecord
 from multilight.lights.photometry.directions import direction_from
@@ -20,6 +19,7 @@ from multilight.lights.spec import (
     SpotLight,
     SunLight,
 )
+from multilight.scenes.arrays import Float32, Float64
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.cameras.pinhole import camera_from_fov, look_at, matrix4
 from multilight.scenes.spec import Body, Camera, Material, MeshAsset, Rectangle, SceneSpec, Sphere, Texture
@@ -28,7 +28,7 @@ from tests import ROOT
 CHECKS = Texture(image="builtin/check-green", repeat=(2.5, 1.5))
 
 
-def body(name: str, geometry: Sphere | Rectangle | MeshAsset, pose: NDArray[np.float64], *materials: Material) -> Body:
+def body(name: str, geometry: Sphere | Rectangle | MeshAsset, pose: Float64, *materials: Material) -> Body:
     return Body(
         name=name,
         role="object" if isinstance(geometry, MeshAsset) else "support",
@@ -40,7 +40,7 @@ def body(name: str, geometry: Sphere | Rectangle | MeshAsset, pose: NDArray[np.f
     )
 
 
-def moved(x: float, y: float, z: float, *, turn: float = 0.0, scale: float = 1.0) -> NDArray[np.float64]:
+def moved(x: float, y: float, z: float, *, turn: float = 0.0, scale: float = 1.0) -> Float64:
     pose = np.eye(4)
     pose[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
     pose[:3, :3] *= scale
@@ -174,7 +174,7 @@ os._exit(0)
 """
 
 
-def blender_render(stage: Path, camera: str, *, size: int, spp: int) -> NDArray[np.float32]:
+def blender_render(stage: Path, camera: str, *, size: int, spp: int) -> Float32:
     """Open a stage in a Blender of its own and render it with Cycles: luminance, (size, size, 3)."""
     out = stage.with_name("blender.npy")
     command = [sys.executable, "-c", _RENDER, str(stage), str(out), camera, str(size), str(spp)]

@@ -14,8 +14,9 @@ from multilight.datagen.backends.mitsuba.scalar.film import BLOCK, Film
 from multilight.datagen.backends.mitsuba.scalar.lookup import Lookup, Seen
 from multilight.datagen.backends.mitsuba.scalar.worlds import Worlds
 from multilight.datagen.backends.protocol import BackendError, RenderJob, RenderSettings, split_variant
-from multilight.datagen.storage.layers import Float32, GeometryBuffers, LayerStack
+from multilight.datagen.storage.layers import GeometryBuffers, LayerStack
 from multilight.lights.spec import EmissiveLight, EnvironmentLight
+from multilight.scenes.arrays import Float32, Float64
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.cameras.pinhole import pixel_rays, z_depth_from_ray_distance
 from multilight.scenes.spec import Camera
@@ -72,7 +73,7 @@ class _View:
         self.film, self._lights, self.geometry = film, lights, geometry
         self.means: dict[tuple[str, str | None], NDArray[Any]] = {}
 
-    def add(self, kind: str, name: str | None, sums: NDArray[np.float64]) -> None:
+    def add(self, kind: str, name: str | None, sums: Float64) -> None:
         """Add a pass's sums to a picture."""
         key = (kind, name)
         self.means[key] = self.means[key] + sums if key in self.means else sums

@@ -11,9 +11,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from multilight.scenes.arrays import Float64, Int64
 from multilight.scenes.spec import Camera
-
-Float64 = NDArray[np.float64]
 
 BLOCK = 32
 """Pixels a side of the renderer's tiles: fixed, because it would else depend on the number of threads."""
@@ -30,7 +29,7 @@ class Rays:
 
     origins: Float64
     directions: Float64
-    pixels: NDArray[np.int64]
+    pixels: Int64
 
 
 class Film:
@@ -95,7 +94,7 @@ class Film:
             sums[:, channel] = np.bincount(rays.pixels[inside], column, len(sums))
         return sums.reshape(shape)
 
-    def _pixels(self, on_plane: Float64) -> NDArray[np.int64]:
+    def _pixels(self, on_plane: Float64) -> Int64:
         camera = self._camera
         if self._same:
             return np.arange(camera.width * camera.height)

@@ -17,11 +17,11 @@ from multilight.datagen.backends.mitsuba.environments import envmap
 from multilight.datagen.backends.mitsuba.scalar.film import CAMERA_AXES
 from multilight.lights.photometry.directions import spot_frame
 from multilight.lights.spec import AreaLight, EnvironmentLight, PointLight, SpotLight, SunLight
+from multilight.scenes.arrays import Float32, Float64, Int64
 from multilight.scenes.assets.environments import read_environment
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.frozen import Rgb
 
-Float64 = NDArray[np.float64]
 Emitters = dict[str, Any]
 """Parts of a scene, by any name, as `mi.load_dict` takes them."""
 
@@ -114,7 +114,7 @@ def _panel(light: AreaLight) -> mi.Mesh:
     return null_mesh(vertices + pose[:3, 3], faces, light.radiance)
 
 
-def _disk(frame: Float64, half_width: float, half_height: float) -> tuple[Float64, NDArray[np.int64]]:
+def _disk(frame: Float64, half_width: float, half_height: float) -> tuple[Float64, Int64]:
     """Make an ellipse about the origin that looks along the frame's -Z, as a polygon of the same area."""
     angle = np.arange(DISK_CORNERS) / DISK_CORNERS * 2 * math.pi
     swell = math.sqrt(angle[1] / math.sin(angle[1]))
@@ -159,7 +159,7 @@ def _spot(light: SpotLight, library: AssetLibrary) -> Emitters:
     return parts
 
 
-def _spot_picture(light: SpotLight, library: AssetLibrary) -> NDArray[np.float32]:
+def _spot_picture(light: SpotLight, library: AssetLibrary) -> Float32:
     """Return the irradiance over pi, (S, S, 3), on the plane one metre before the spot, as `projector` takes it."""
     gobo = np.ones((1, 1))
     if light.gobo is not None:

@@ -9,11 +9,11 @@ from trimesh import Trimesh
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from multilight.datagen.backends.mitsuba.arrays import Textures, parts_of, place_part
+from multilight.scenes.arrays import Float64, Int64, Mask
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.colour import srgb_decode
 from multilight.scenes.spec import Material, SceneSpec, Texture
 
-Float64 = NDArray[np.float64]
 SEE_THROUGH_SURFACES = 32
 HALF = 0.5
 """A surface counts as hit above this opacity, as in Cycles."""
@@ -27,7 +27,7 @@ class Seen:
     """
 
     body: NDArray[np.uint16]
-    covered: NDArray[np.bool_]
+    covered: Mask
     distance: Float64
     normal: Float64
     albedo: Float64
@@ -79,7 +79,7 @@ class Lookup:
             going = going[~stops]
         return self._described(face, share, np.where(face >= 0, travelled, 0), covered, directions)
 
-    def _meet(self, face: NDArray[np.int64], o: Float64, d: Float64) -> tuple[Float64, Float64]:
+    def _meet(self, face: Int64, o: Float64, d: Float64) -> tuple[Float64, Float64]:
         """Return where rays meet their triangles' planes: distance (N,), barycentric coordinates (N, 3)."""
         a, b, c = np.moveaxis(self._vertices[self._faces[face], :3], 1, 0)
         normal = np.cross(b - a, c - a)
@@ -91,7 +91,7 @@ class Lookup:
         w = (np.cross(b - a, p - a) * normal).sum(axis=1) / area
         return np.maximum(distance, 0), np.stack([1 - v - w, v, w], axis=1)
 
-    def _opacity(self, face: NDArray[np.int64], share: Float64) -> Float64:
+    def _opacity(self, face: Int64, share: Float64) -> Float64:
         opacity = np.ones(len(face))
         if not self._see_through:
             return opacity
@@ -102,9 +102,7 @@ class Lookup:
                 opacity[mine] *= self._texture(material.base_color_texture, uv[mine])[:, 3]
         return opacity
 
-    def _described(
-        self, face: NDArray[np.int64], share: Float64, distance: Float64, covered: NDArray[np.bool_], d: Float64
-    ) -> Seen:
+    def _described(self, face: Int64, share: Float64, distance: Float64, covered: Mask, d: Float64) -> Seen:
         there = face >= 0
         at = self._blend(face, share)
         normal = at[:, 3:6] / np.maximum(np.linalg.norm(at[:, 3:6], axis=1, keepdims=True), 1e-20)
@@ -125,11 +123,11 @@ class Lookup:
         body = np.where(there, self._body[self._row[face]], 0).astype(np.uint16)
         return Seen(body, covered, distance, normal, albedo, roughness, metallic)
 
-    def _blend(self, face: NDArray[np.int64], share: Float64) -> Float64:
+    def _blend(self, face: Int64, share: Float64) -> Float64:
         """Interpolate what vertices carry: position, normal, uv (N, 8)."""
         return np.einsum("nk,nkc->nc", share, self._vertices[self._faces[face]])
 
-    def _by_material(self, face: NDArray[np.int64]) -> Iterator[tuple[Material, NDArray[np.int64]]]:
+    def _by_material(self, face: Int64) -> Iterator[tuple[Material, Int64]]:
         row = self._row[face]
         for number in np.unique(row):
             yield self._materials[number], np.flatnonzero(row == number)
@@ -144,14 +142,14 @@ class Lookup:
         fx, fy = (x - left)[:, None], (y - top)[:, None]
         texels = words.view(np.uint8).reshape(height, width, 4)
 
-        def at(column: NDArray[np.int64], line: NDArray[np.int64]) -> Float64:
+        def at(column: Int64, line: Int64) -> Float64:
             return texels[line % height, column % width] / 255.0
 
         above = at(left, top) * (1 - fx) + at(left + 1, top) * fx
         below = at(left, top + 1) * (1 - fx) + at(left + 1, top + 1) * fx
         return above * (1 - fy) + below * fy
 
-    def _bumped(self, face: NDArray[np.int64], normal: Float64, local: Float64) -> Float64:
+    def _bumped(self, face: Int64, normal: Float64, local: Float64) -> Float64:
         """Turn shading normals by a tangent-space normal map (red along u, green along v)."""
         corner = self._vertices[self._faces[face]]
         edges, uv = corner[:, 1:, :3] - corner[:, :1, :3], corner[:, 1:, 6:] - corner[:, :1, 6:]

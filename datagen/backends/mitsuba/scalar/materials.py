@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multilight.datagen.backends.mitsuba.arrays import Textures
+from multilight.scenes.arrays import Float32
 from multilight.scenes.colour import srgb_decode
 from multilight.scenes.frozen import Rgb
 from multilight.scenes.spec import Material, Texture
@@ -73,7 +74,7 @@ def _opacity(material: Material, textures: Textures) -> Any:
     return material.opacity if material.opacity < 1 else None
 
 
-def _texels(texture: Texture, textures: Textures) -> NDArray[np.float32]:
+def _texels(texture: Texture, textures: Textures) -> Float32:
     """Return a texture's encoded values, (H, W, 4) float32 in [0, 1], top row first."""
     words = textures.load(texture.image)
     return words.view(np.uint8).reshape(*words.shape, 4).astype(np.float32) / 255

@@ -7,10 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 from trimesh import Trimesh
 
-from multilight.datagen.backends.mitsuba.arrays import Float32, Textures, glowing_parts, parts_of, place_part
+from multilight.datagen.backends.mitsuba.arrays import Textures, glowing_parts, parts_of, place_part
 from multilight.datagen.backends.mitsuba.scalar.lights import Emitters, emitters
 from multilight.datagen.backends.mitsuba.scalar.materials import coloured, surface
 from multilight.lights.spec import EmissiveLight, LightRig
+from multilight.scenes.arrays import Float32
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.spec import SceneSpec
 

@@ -7,33 +7,32 @@ import zlib
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from multilight.scenes.arrays import Float64, UInt8
 from multilight.scenes.assets.builtin.textures.surfaces import noise
 
-Array = NDArray[np.float64]
 Rng = np.random.Generator
 RESOLUTION = 512
 _EDGE = 0.004
 """Width of an edge, as a share of the image: a gobo is metal or glass, a little out of focus."""
 
 
-def _grid(n: int) -> tuple[Array, Array]:
+def _grid(n: int) -> tuple[Float64, Float64]:
     """Return (x to the right, y up) of pixel centres in [-1, 1], each (n, n)."""
     line = (2 * np.arange(n) + 1) / n - 1
     x, y = np.meshgrid(line, -line)
     return x, y
 
 
-def _frame(image: Array, margin: float = 0.04) -> Array:
+def _frame(image: Float64, margin: float = 0.04) -> Float64:
     """Cut an image to the square that is left within a black margin, and soften its edges."""
     x, y = _grid(len(image))
     inside = np.maximum(np.abs(x), np.abs(y)) < 1 - 2 * margin
     return np.clip(gaussian_filter(image * inside, _EDGE * len(image)), 0.0, 1.0)
 
 
-def window(rng: Rng, n: int, *, columns: int, rows: int, arched: bool = False) -> Array:
+def window(rng: Rng, n: int, *, columns: int, rows: int, arched: bool = False) -> Float64:
     """Open a window of panes between muntins; arched ones end in a half circle."""
     x, y = _grid(n)
     half = 0.36 + 0.12 * columns / rows
@@ -46,7 +45,7 @@ def window(rng: Rng, n: int, *, columns: int, rows: int, arched: bool = False) -
     return _frame((open_area & (across > bar) & (along > bar)).astype(float))
 
 
-def blinds(rng: Rng, n: int, *, slats: int) -> Array:
+def blinds(rng: Rng, n: int, *, slats: int) -> Float64:
     """Let light through between slats; each hangs a little differently."""
     x, y = _grid(n)
     slat = np.floor((y + 1) / 2 * slats).astype(int)
@@ -57,7 +56,7 @@ def blinds(rng: Rng, n: int, *, slats: int) -> Array:
     return _frame((phase < gap[slat]) * cords.astype(float), margin=0.06)
 
 
-def foliage(rng: Rng, n: int, *, leaves: int, length: float) -> Array:
+def foliage(rng: Rng, n: int, *, leaves: int, length: float) -> Float64:
     """Cover the image with leaves, so that light falls through the gaps."""
     x, y = _grid(n)
     blocked = np.zeros((n, n))
@@ -71,7 +70,7 @@ def foliage(rng: Rng, n: int, *, leaves: int, length: float) -> Array:
     return _frame(0.04 + 0.96 * (1 - gaussian_filter(blocked, 0.006 * n)), margin=0.02)
 
 
-def dots(rng: Rng, n: int, *, count: int) -> Array:
+def dots(rng: Rng, n: int, *, count: int) -> Float64:
     """Punch a hexagonal field of round holes."""
     x, y = _grid(n)
     pitch = 2.0 / count
@@ -81,13 +80,13 @@ def dots(rng: Rng, n: int, *, count: int) -> Array:
     return _frame((distance < pitch * rng.uniform(0.27, 0.36)).astype(float))
 
 
-def breakup(rng: Rng, n: int, *, scale: float, share: float) -> Array:
+def breakup(rng: Rng, n: int, *, scale: float, share: float) -> Float64:
     """Break light up into irregular patches that cover a share of the image."""
     field = noise(rng, n, scale=(scale, scale), rough=2.2)
     return _frame((field > np.quantile(field, 1 - share)).astype(float), margin=0.02)
 
 
-def lattice(rng: Rng, n: int, *, count: int) -> Array:
+def lattice(rng: Rng, n: int, *, count: int) -> Float64:
     """Cross two sets of diagonal laths, as in a garden fence or a screen."""
     x, y = _grid(n)
     width = rng.uniform(0.3, 0.45)
@@ -95,7 +94,7 @@ def lattice(rng: Rng, n: int, *, count: int) -> Array:
     return _frame(((a > width) & (b > width)).astype(float))
 
 
-GOBOS: dict[str, Callable[[Rng, int], Array]] = {
+GOBOS: dict[str, Callable[[Rng, int], Float64]] = {
     "gobo-window-2x2": lambda rng, n: window(rng, n, columns=2, rows=2),
     "gobo-window-2x3": lambda rng, n: window(rng, n, columns=2, rows=3),
     "gobo-window-3x4": lambda rng, n: window(rng, n, columns=3, rows=4),
@@ -111,7 +110,7 @@ GOBOS: dict[str, Callable[[Rng, int], Array]] = {
 }
 
 
-def make_gobo(name: str, *, resolution: int = RESOLUTION) -> NDArray[np.uint8]:
+def make_gobo(name: str, *, resolution: int = RESOLUTION) -> UInt8:
     """Make a gobo by name: linear transmission (N, N) uint8, the same for the same name."""
     rng = np.random.Generator(np.random.PCG64(zlib.crc32(name.encode())))
     return np.round(GOBOS[name](rng, resolution) * 255).astype(np.uint8)

@@ -7,10 +7,11 @@ import numpy as np
 from PIL import Image, ImageDraw
 from scipy.ndimage import gaussian_filter
 
-from multilight.scenes.assets.builtin.textures.patterns import Array, Colour, Rng, axes, cells, noise, ramp, step
+from multilight.scenes.arrays import Float64
+from multilight.scenes.assets.builtin.textures.patterns import Colour, Rng, axes, cells, noise, ramp, step
 
 
-def lawn(rng: Rng, n: int, *, colours: tuple[Colour, ...], blades: int = 20000) -> tuple[Array, Array]:
+def lawn(rng: Rng, n: int, *, colours: tuple[Colour, ...], blades: int = 20000) -> tuple[Float64, Float64]:
     """Strew blades of grass seen from above, later ones over earlier and lighter, with drier patches."""
     canvas = Image.new("RGB", (n, n), tuple(int(180 * c) for c in colours[0]))
     relief = Image.new("L", (n, n), 0)
@@ -36,7 +37,7 @@ def lawn(rng: Rng, n: int, *, colours: tuple[Colour, ...], blades: int = 20000) 
     return np.asarray(canvas, np.float64) / 255, 6e-3 * height
 
 
-def gravel(rng: Rng, n: int, *, colours: tuple[Colour, ...], count: int) -> tuple[Array, Array]:
+def gravel(rng: Rng, n: int, *, colours: tuple[Colour, ...], count: int) -> tuple[Float64, Float64]:
     """Strew `count` rounded stones, each of its own tone, dark between them."""
     near, second, index = cells(rng, n, count)
     rise = np.clip((second - near) * np.sqrt(count) * 1.4, 0, 1)
@@ -46,7 +47,7 @@ def gravel(rng: Rng, n: int, *, colours: tuple[Colour, ...], count: int) -> tupl
     return np.clip(albedo, 0, 1), 0.35 / np.sqrt(count) * dome
 
 
-def paving(rng: Rng, n: int, *, colours: tuple[Colour, ...], rows: int, joint: float) -> tuple[Array, Array]:
+def paving(rng: Rng, n: int, *, colours: tuple[Colour, ...], rows: int, joint: float) -> tuple[Float64, Float64]:
     """Lay slabs in courses, each shifted by half a slab; `rows` is even, a slab is half as wide again as high."""
     v, u = axes(n)
     row = np.floor(v * rows).astype(int)
@@ -63,7 +64,7 @@ def paving(rng: Rng, n: int, *, colours: tuple[Colour, ...], rows: int, joint: f
     return np.clip(albedo, 0, 1), 4e-3 * slab + 1.5e-4 * grain
 
 
-def setts(rng: Rng, n: int, *, colours: tuple[Colour, ...], rows: int) -> tuple[Array, Array]:
+def setts(rng: Rng, n: int, *, colours: tuple[Colour, ...], rows: int) -> tuple[Float64, Float64]:
     """Lay small cubes of stone in courses, worn round, each of its own tone."""
     v, u = axes(n)
     sway = 0.004 * noise(rng, n, scale=(4, 4), rough=1.5)
@@ -79,7 +80,7 @@ def setts(rng: Rng, n: int, *, colours: tuple[Colour, ...], rows: int) -> tuple[
     return np.clip(albedo, 0, 1), 0.008 * dome
 
 
-def asphalt(rng: Rng, n: int, *, colour: Colour) -> tuple[Array, Array]:
+def asphalt(rng: Rng, n: int, *, colour: Colour) -> tuple[Float64, Float64]:
     """Roll asphalt: grains of stone in dark binder, a little stained."""
     near, second, index = cells(rng, n, 16000)
     stone = rng.random(16000) < 0.55
@@ -90,7 +91,7 @@ def asphalt(rng: Rng, n: int, *, colour: Colour) -> tuple[Array, Array]:
     return np.clip(np.array(colour) * tone[..., None], 0, 1), 1.2e-3 * shown
 
 
-def sand(rng: Rng, n: int, *, colours: tuple[Colour, ...], ripples: int) -> tuple[Array, Array]:
+def sand(rng: Rng, n: int, *, colours: tuple[Colour, ...], ripples: int) -> tuple[Float64, Float64]:
     """Blow sand into ripples of uneven course, with grains of several tones."""
     v, _ = axes(n)
     phase = v * ripples + 0.45 * noise(rng, n, scale=(2, 2), rough=1.8)

@@ -5,16 +5,16 @@ their borders. Row 0 is the image's top.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial import cKDTree
 
-Array = NDArray[np.float64]
+from multilight.scenes.arrays import Float64, Int64
+
 Rng = np.random.Generator
 Colour = tuple[float, float, float]
 
 
-def noise(rng: Rng, n: int, *, scale: tuple[float, float], rough: float = 1.0) -> Array:
+def noise(rng: Rng, n: int, *, scale: tuple[float, float], rough: float = 1.0) -> Float64:
     """Make periodic noise of zero mean and unit deviation, (n, n).
 
     Spectral synthesis: white noise shaped by a power law `1 / (1 + f^2)^((1 + rough) / 2)`, where f counts periods
@@ -28,32 +28,32 @@ def noise(rng: Rng, n: int, *, scale: tuple[float, float], rough: float = 1.0) -
     return field / field.std()
 
 
-def axes(n: int) -> tuple[Array, Array]:
+def axes(n: int) -> tuple[Float64, Float64]:
     """Return the tile coordinates (v down, u right) of pixel centres in [0, 1), each (n, n)."""
     line = (np.arange(n) + 0.5) / n
     v, u = np.meshgrid(line, line, indexing="ij")
     return v, u
 
 
-def warp(field: Array, down: Array, right: Array) -> Array:
+def warp(field: Float64, down: Float64, right: Float64) -> Float64:
     """Look a periodic field up at pixels shifted by (down, right) pixels."""
     rows, columns = np.indices(field.shape)
     return map_coordinates(field, [rows + down, columns + right], order=1, mode="grid-wrap")
 
 
-def ramp(t: Array, colours: tuple[Colour, ...]) -> Array:
+def ramp(t: Float64, colours: tuple[Colour, ...]) -> Float64:
     """Map t in [0, 1] through evenly spaced colours, (..., 3)."""
     stops = np.linspace(0, 1, len(colours))
     return np.stack([np.interp(t, stops, [c[i] for c in colours]) for i in range(3)], -1)
 
 
-def step(x: Array, low: float, high: float) -> Array:
+def step(x: Float64, low: float, high: float) -> Float64:
     """Rise smoothly from 0 at `low` to 1 at `high`."""
     t = np.clip((x - low) / (high - low), 0, 1)
     return t * t * (3 - 2 * t)
 
 
-def wood(rng: Rng, n: int, *, colours: tuple[Colour, ...], rings: int) -> tuple[Array, Array]:
+def wood(rng: Rng, n: int, *, colours: tuple[Colour, ...], rings: int) -> tuple[Float64, Float64]:
     """Grow wood grain along the columns: rings bent by slow noise, fibres and pores."""
     v, _ = axes(n)
     bend = noise(rng, n, scale=(2.0, 0.7), rough=1.6)
@@ -68,7 +68,9 @@ def wood(rng: Rng, n: int, *, colours: tuple[Colour, ...], rings: int) -> tuple[
     return albedo, 3e-5 * fibre - 1.2e-4 * pores
 
 
-def planks(rng: Rng, n: int, *, colours: tuple[Colour, ...], rows: int, joint: float = 0.0022) -> tuple[Array, Array]:
+def planks(
+    rng: Rng, n: int, *, colours: tuple[Colour, ...], rows: int, joint: float = 0.0022
+) -> tuple[Float64, Float64]:
     """Lay boards of wood grain along the columns; joints between them are about `joint` of the tile wide."""
     base, fine = wood(rng, n, colours=colours, rings=5 * rows)
     albedo, height = np.empty_like(base), np.empty_like(fine)
@@ -88,7 +90,7 @@ def planks(rng: Rng, n: int, *, colours: tuple[Colour, ...], rows: int, joint: f
     return np.clip(albedo, 0, 1), height
 
 
-def marble(rng: Rng, n: int, *, colours: tuple[Colour, ...], vein: Colour) -> tuple[Array, Array]:
+def marble(rng: Rng, n: int, *, colours: tuple[Colour, ...], vein: Colour) -> tuple[Float64, Float64]:
     """Make polished marble: clouds, a few bold veins and many thin ones."""
     pixels = n / 16
     dx, dy = (pixels * noise(rng, n, scale=(3, 3), rough=1.5) for _ in range(2))
@@ -102,7 +104,7 @@ def marble(rng: Rng, n: int, *, colours: tuple[Colour, ...], vein: Colour) -> tu
     return np.clip(albedo, 0, 1), 1e-6 * clouds
 
 
-def cells(rng: Rng, n: int, count: int) -> tuple[Array, Array, NDArray[np.int64]]:
+def cells(rng: Rng, n: int, count: int) -> tuple[Float64, Float64, Int64]:
     """Distances to the nearest and second nearest of `count` random points on the torus, and the nearest's index."""
     tree = cKDTree(rng.random((count, 2)), boxsize=1.0)
     v, u = axes(n)
@@ -110,7 +112,7 @@ def cells(rng: Rng, n: int, count: int) -> tuple[Array, Array, NDArray[np.int64]
     return distance[:, 0].reshape(n, n), distance[:, 1].reshape(n, n), index[:, 0].reshape(n, n)
 
 
-def terrazzo(rng: Rng, n: int, *, base: Colour, chips: tuple[Colour, ...]) -> tuple[Array, Array]:
+def terrazzo(rng: Rng, n: int, *, base: Colour, chips: tuple[Colour, ...]) -> tuple[Float64, Float64]:
     """Strew angular stone chips of two sizes into a ground."""
     albedo = np.array(base) * (1 + 0.02 * noise(rng, n, scale=(60, 60), rough=0.3)[..., None])
     for count, share in ((2600, 0.35), (420, 0.45)):
@@ -124,7 +126,7 @@ def terrazzo(rng: Rng, n: int, *, base: Colour, chips: tuple[Colour, ...]) -> tu
     return np.clip(albedo, 0, 1), np.zeros((n, n))
 
 
-def weave(rng: Rng, n: int, *, across: Colour, along: Colour, threads: int) -> tuple[Array, Array]:
+def weave(rng: Rng, n: int, *, across: Colour, along: Colour, threads: int) -> tuple[Float64, Float64]:
     """Weave a plain linen of two thread colours; `threads` (even) a tile."""
     v, u = axes(n)
     wander = 0.10 * threads / 32
@@ -144,7 +146,7 @@ def weave(rng: Rng, n: int, *, across: Colour, along: Colour, threads: int) -> t
     return np.clip(colour * (0.45 + 0.55 * top + fuzz)[..., None], 0, 1), 2.5e-4 * top
 
 
-def tiles(rng: Rng, n: int, *, colours: tuple[Colour, ...], grout: Colour, count: int) -> tuple[Array, Array]:
+def tiles(rng: Rng, n: int, *, colours: tuple[Colour, ...], grout: Colour, count: int) -> tuple[Float64, Float64]:
     """Lay square glazed tiles, `count` a side; several colours alternate as a chequerboard."""
     v, u = axes(n)
     row, column = np.floor(v * count).astype(int), np.floor(u * count).astype(int)
@@ -159,7 +161,7 @@ def tiles(rng: Rng, n: int, *, colours: tuple[Colour, ...], grout: Colour, count
     return np.clip(albedo, 0, 1), 1.2e-3 * step(inset, 0.006, 0.035) + 1e-5 * noise(rng, n, scale=(8, 8))
 
 
-def plaster(rng: Rng, n: int, *, colour: Colour, grain: float, stains: float) -> tuple[Array, Array]:
+def plaster(rng: Rng, n: int, *, colour: Colour, grain: float, stains: float) -> tuple[Float64, Float64]:
     """Trowel plaster or pour concrete: clouds, grit, and pits where `stains` is large."""
     cloud = noise(rng, n, scale=(3, 3), rough=0.9)
     grit = noise(rng, n, scale=(90, 90), rough=0.4)
@@ -170,13 +172,13 @@ def plaster(rng: Rng, n: int, *, colour: Colour, grain: float, stains: float) ->
     return np.clip(np.array(colour) * shade[..., None] * tint, 0, 1), grain * (trowel + 0.12 * grit) - 8e-4 * pits
 
 
-def brushed(rng: Rng, n: int, *, colour: Colour) -> tuple[Array, Array]:
+def brushed(rng: Rng, n: int, *, colour: Colour) -> tuple[Float64, Float64]:
     """Brush metal along the columns."""
     lines = noise(rng, n, scale=(300, 0.8), rough=0.2) + 0.5 * noise(rng, n, scale=(40, 0.6), rough=0.5)
     return np.clip(np.array(colour) * (1 + 0.035 * lines)[..., None], 0, 1), 4e-6 * lines
 
 
-def speckled(rng: Rng, n: int, *, colour: Colour, speck: Colour) -> tuple[Array, Array]:
+def speckled(rng: Rng, n: int, *, colour: Colour, speck: Colour) -> tuple[Float64, Float64]:
     """Glaze a stoneware with iron specks of several sizes."""
     albedo = np.array(colour) * (1 + 0.03 * noise(rng, n, scale=(4, 4)))[..., None]
     for count, radius in ((60, 0.010), (420, 0.004), (1500, 0.0018)):
@@ -187,7 +189,7 @@ def speckled(rng: Rng, n: int, *, colour: Colour, speck: Colour) -> tuple[Array,
     return np.clip(albedo, 0, 1), 6e-6 * noise(rng, n, scale=(6, 6))
 
 
-def leather(rng: Rng, n: int, *, colour: Colour) -> tuple[Array, Array]:
+def leather(rng: Rng, n: int, *, colour: Colour) -> tuple[Float64, Float64]:
     """Grain a hide: small pebbles between creases, and worn lighter patches."""
     pebbles = np.zeros((n, n))
     for count, weight in ((900, 0.6), (3200, 0.4)):
@@ -198,7 +200,7 @@ def leather(rng: Rng, n: int, *, colour: Colour) -> tuple[Array, Array]:
     return np.clip(np.array(colour) * tone[..., None], 0, 1), 1.2e-4 * pebbles
 
 
-def cork(rng: Rng, n: int, *, colours: tuple[Colour, ...]) -> tuple[Array, Array]:
+def cork(rng: Rng, n: int, *, colours: tuple[Colour, ...]) -> tuple[Float64, Float64]:
     """Press granules of cork together, with dark specks."""
     near, second, index = cells(rng, n, 1400)
     tone = rng.uniform(0, 1, 1400)[index] * 0.7 + 0.15 + 0.06 * noise(rng, n, scale=(80, 80), rough=0.4)
@@ -208,7 +210,7 @@ def cork(rng: Rng, n: int, *, colours: tuple[Colour, ...]) -> tuple[Array, Array
     return np.clip(albedo, 0, 1), -1.5e-4 * np.maximum(dark, 0.4 * seam)
 
 
-def checked(rng: Rng, n: int, *, colours: tuple[Colour, Colour, Colour], threads: int) -> tuple[Array, Array]:
+def checked(rng: Rng, n: int, *, colours: tuple[Colour, Colour, Colour], threads: int) -> tuple[Float64, Float64]:
     """Weave a check: broad bands of two colours both ways, a thin line of the third, over twill."""
     v, u = axes(n)
     base, height = weave(rng, n, across=(0.94, 0.94, 0.94), along=(0.86, 0.86, 0.86), threads=threads)

@@ -8,13 +8,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from multilight.scenes.arrays import UInt8
 from multilight.scenes.assets.builtin.textures.patterns import noise, ramp
 
 Rng = np.random.Generator
-Picture = NDArray[np.uint8]
+Picture = UInt8
 Ink = tuple[int, int, int]
 
 _ACCENTS: tuple[Ink, ...] = (

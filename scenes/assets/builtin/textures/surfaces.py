@@ -9,12 +9,11 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from multilight.scenes.arrays import Float64, UInt8
 from multilight.scenes.assets.builtin.textures.grounds import asphalt, gravel, lawn, paving, sand, setts
 from multilight.scenes.assets.builtin.textures.patterns import (
-    Array,
     Rng,
     brushed,
     checked,
@@ -41,7 +40,7 @@ class Recipe:
 
     category: str
     metres: float
-    make: Callable[[Rng, int], tuple[Array, Array]]
+    make: Callable[[Rng, int], tuple[Float64, Float64]]
 
 
 _OAK = ((0.50, 0.35, 0.21), (0.66, 0.50, 0.33), (0.76, 0.62, 0.45))
@@ -137,9 +136,7 @@ TEXTURES: dict[str, Recipe] = {
 }  # fmt: skip
 
 
-def make_texture(
-    name: str, *, resolution: int = RESOLUTION
-) -> tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8]]:
+def make_texture(name: str, *, resolution: int = RESOLUTION) -> tuple[UInt8, UInt8, UInt8]:
     """Make a texture by name, the same for the same name, as uint8.
 
     Returns sRGB albedo (N, N, 3), normal map (N, N, 3), and roughness map (N, N) of mean `MEAN_ROUGHNESS`: hollows
@@ -154,7 +151,7 @@ def make_texture(
     return np.round(albedo * 255).astype(np.uint8), normal_map(height, metres=recipe.metres), rough
 
 
-def normal_map(height: Array, *, metres: float) -> NDArray[np.uint8]:
+def normal_map(height: Float64, *, metres: float) -> UInt8:
     """Encode the normals of a periodic height field (N, M) [m], `metres` wide, as (N, M, 3) uint8, +Y up."""
     pixel = metres / height.shape[1]
     right = (np.roll(height, -1, axis=1) - np.roll(height, 1, axis=1)) / (2 * pixel)
@@ -164,7 +161,7 @@ def normal_map(height: Array, *, metres: float) -> NDArray[np.uint8]:
     return np.round((normals * 0.5 + 0.5) * 255).astype(np.uint8)
 
 
-def height_from_albedo(albedo: NDArray[np.uint8], *, depth: float) -> Array:
+def height_from_albedo(albedo: UInt8, *, depth: float) -> Float64:
     """Guess a height field [m] from an (N, M, 3) picture: fine brightness detail, `depth` a deviation."""
     grey = albedo[..., :3].astype(np.float64).mean(axis=-1) / 255
     detail = gaussian_filter(grey, 0.7, mode="wrap") - gaussian_filter(grey, 24, mode="wrap")

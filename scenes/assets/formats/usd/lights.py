@@ -13,16 +13,14 @@ from typing import Any
 
 import numpy as np
 import OpenEXR
-from numpy.typing import NDArray
 from pxr import UsdGeom, UsdLux
 
+from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.formats.scene_file import FoundLight
 from multilight.scenes.assets.formats.usd.materials import inputs_of, open_picture, resolved_file, rgb_of
 from multilight.scenes.assets.info import AssetError
 from multilight.scenes.cameras.pinhole import matrix4
 from multilight.scenes.colour import srgb_decode
-
-Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

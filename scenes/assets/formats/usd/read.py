@@ -5,15 +5,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdShade
 
+from multilight.scenes.arrays import Float64, Int64, Mask
 from multilight.scenes.assets.formats.claims import check_triangles
 from multilight.scenes.assets.formats.cleaning import Z_UP_FROM_Y_UP, RawPart
 from multilight.scenes.assets.formats.scene_file import Emission, FoundLight, Imported, KeepImage, Node
 from multilight.scenes.assets.formats.usd.lights import LightReader, write_map
 from multilight.scenes.assets.formats.usd.materials import Picture, bound_surface, package_of, read_material, rgb_of
-from multilight.scenes.assets.formats.usd.shapes import SHAPES, Float64, Int64, read_shape
+from multilight.scenes.assets.formats.usd.shapes import SHAPES, read_shape
 from multilight.scenes.assets.info import AssetError
 from multilight.scenes.files.inside import OutsideError, held
 from multilight.scenes.files.limits import MOST_NODES, LimitError, check_file
@@ -148,7 +148,7 @@ class _Reader:
         return name
 
 
-def _bindings(prim: Any, source: Int64) -> Iterator[tuple[NDArray[np.bool_], Any]]:
+def _bindings(prim: Any, source: Int64) -> Iterator[tuple[Mask, Any]]:
     """Yield for each material of a shape which triangles have it, and its surface shader (None: none given)."""
     rest = np.ones(len(source), bool)
     for subset in UsdShade.MaterialBindingAPI(prim).GetMaterialBindSubsets():

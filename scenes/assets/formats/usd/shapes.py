@@ -5,13 +5,11 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 from pxr import UsdGeom
 
-SHAPES = (UsdGeom.Mesh, UsdGeom.Cube, UsdGeom.Sphere, UsdGeom.Cylinder)
+from multilight.scenes.arrays import Float64, Int64
 
-Float64 = NDArray[np.float64]
-Int64 = NDArray[np.int64]
+SHAPES = (UsdGeom.Mesh, UsdGeom.Cube, UsdGeom.Sphere, UsdGeom.Cylinder)
 
 
 @dataclass(frozen=True)

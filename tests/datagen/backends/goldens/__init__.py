@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from multilight.datagen.backends.protocol import Backend, RenderJob, RenderSettings
-from multilight.datagen.storage.layers import Float32
 from multilight.lights.spec import LightRig
+from multilight.scenes.arrays import Float32
 from multilight.scenes.cameras.pinhole import camera_from_fov, look_at
 from multilight.scenes.spec import SceneSpec
 from tests.datagen.backends.calibration_scenes import LIGHTS, SURFACES, calibration_scene
