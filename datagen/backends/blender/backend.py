@@ -98,34 +98,37 @@ def _settle(synced: SyncedScene) -> None:
 
 
 def _beauty(synced: SyncedScene, settings: RenderSettings) -> Passes:
-    """Render all lights: what one world can hold at once, then each further environment with the lamps off.
+    """Render all lights: what Blender can hold at once, then each further environment with the lamps off.
 
     A glowing body stays on in those renders, since its material is not touched; its light falls into its own
     group and is left out.
     """
     beauty_filter(settings.spp)
     passes = render_passes()
-    for world in synced.further_worlds:
-        with _lit_by(synced, world):
-            layer = render_passes()[f"Combined_{world.lightgroup}"]
-        passes[f"Combined_{world.lightgroup}"] = layer
+    for number, name in enumerate(synced.sky.names[1:], start=1):
+        with _lit_by(synced, number):
+            layer = render_passes()[f"Combined_{synced.sky.names[0]}"]
+        passes[f"Combined_{name}"] = layer
         passes["Combined"][..., :3] += layer[..., :3]
     return passes
 
 
 @contextlib.contextmanager
-def _lit_by(synced: SyncedScene, world: bpy.types.World) -> Iterator[None]:
-    """Let another environment light the scene, without any lamp."""
-    scene = bpy.context.scene
-    first, scene.world = scene.world, world
-    for lamp in synced.lamps:
-        lamp.hide_render = True
+def _lit_by(synced: SyncedScene, environment: int) -> Iterator[None]:
+    """Let another environment light the scene, without any lamp.
+
+    `hide_render` would take the lamps out of Cycles' scene and put them back in another order.
+    """
+    energies = [(lamp.data, lamp.data.energy) for lamp in synced.lamps]
+    synced.sky.shine(environment)
+    for lamp, _ in energies:
+        lamp.energy = 0.0
     try:
         yield
     finally:
-        scene.world = first
-        for lamp in synced.lamps:
-            lamp.hide_render = False
+        synced.sky.shine(0)
+        for lamp, energy in energies:
+            lamp.energy = energy
 
 
 def _stack(

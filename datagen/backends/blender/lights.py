@@ -5,6 +5,7 @@ quantities into them. The tests hold each against a closed form.
 """
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import bpy
@@ -53,21 +54,37 @@ def add_light(light: SunLight | PointLight | SpotLight | AreaLight, library: Ass
     return placed
 
 
-def make_world(light: EnvironmentLight | None, library: AssetLibrary) -> bpy.types.World:
-    """Make a world that lights the scene from infinity, in a light group of its own; without a light, a black one."""
-    world = bpy.data.worlds.new("world")
-    if world.node_tree is None:
-        world.use_nodes = True
-    tree = world.node_tree
-    tree.nodes.clear()
-    background = tree.nodes.new("ShaderNodeBackground")
-    background.inputs["Color"].default_value = (0.0, 0.0, 0.0, 1.0) if light is None else (*light.radiance, 1.0)
-    tree.links.new(background.outputs["Background"], tree.nodes.new("ShaderNodeOutputWorld").inputs["Surface"])
-    if light is not None:
-        world.lightgroup = light.name
+class Sky:
+    """The world, which lights the scene from infinity by one environment at a time, in the first one's light group.
+
+    It stays one data-block: another in its place would put Cycles' lamps into another order, and with it the random
+    choices of every later render, differently in each process.
+    """
+
+    def __init__(self, lights: Sequence[EnvironmentLight], library: AssetLibrary) -> None:
+        """Light the scene by the first environment; without any, by none."""
+        self.names = tuple(light.name for light in lights)
+        world = bpy.context.scene.world = bpy.data.worlds.new("world")
+        if world.node_tree is None:
+            world.use_nodes = True
+        self._tree = world.node_tree
+        self._tree.nodes.clear()
+        self._surface = self._tree.nodes.new("ShaderNodeOutputWorld").inputs["Surface"]
+        self._backgrounds = [self._background(light, library) for light in lights]
+        if lights:
+            world.lightgroup = self.names[0]
+            self.shine(0)
+
+    def shine(self, number: int) -> None:
+        """Light the scene by another environment."""
+        self._tree.links.new(self._backgrounds[number], self._surface)
+
+    def _background(self, light: EnvironmentLight, library: AssetLibrary) -> Any:
+        background = self._tree.nodes.new("ShaderNodeBackground")
+        background.inputs["Color"].default_value = (*light.radiance, 1.0)
         if light.map is not None:
-            tree.links.new(_map_colour(tree, light, library), background.inputs["Color"])
-    return world
+            self._tree.links.new(_map_colour(self._tree, light, library), background.inputs["Color"])
+        return background.outputs["Background"]
 
 
 def _map_colour(tree: Any, light: EnvironmentLight, library: AssetLibrary) -> Any:

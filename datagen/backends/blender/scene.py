@@ -20,7 +20,7 @@ _SENSOR_WIDTH = 36.0
 
 
 class SyncedScene:
-    """A scene as Blender holds it: the objects of each body, its lamps, and environments beyond the first."""
+    """A scene as Blender holds it: the objects of each body, its lamps and its sky."""
 
     def __init__(self, scene: SceneSpec, rig: LightRig, library: AssetLibrary) -> None:
         """Empty Blender's file and build the scene anew, from data only."""
@@ -35,14 +35,10 @@ class SyncedScene:
             glows = {light.part: light for light in emissive if light.body == body.name}
             self.objects[body.name] = self._add_body(body, number, glows)
         self.lamps: list[bpy.types.Object] = []
-        worlds = []
         for light in rig.lights:
-            if isinstance(light, EnvironmentLight):
-                worlds.append(blender_lights.make_world(light, library))
-            elif not isinstance(light, EmissiveLight):
+            if not isinstance(light, EnvironmentLight | EmissiveLight):
                 self.lamps.append(blender_lights.add_light(light, library))
-        # Blender lights a scene from one world at a time; the others get renders of their own.
-        bpy.context.scene.world, *self.further_worlds = worlds or [blender_lights.make_world(None, library)]
+        self.sky = blender_lights.Sky([light for light in rig.lights if isinstance(light, EnvironmentLight)], library)
         camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
         bpy.context.scene.collection.objects.link(camera)
         bpy.context.scene.camera = camera

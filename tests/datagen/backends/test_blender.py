@@ -231,6 +231,20 @@ def test_several_environments_each_have_their_layer(blender: BlenderBackend) -> 
     np.testing.assert_array_equal(swapped.radiance[2], render(blender, spec, (DAY,)).radiance[0])
 
 
+def test_several_environments_leave_the_random_choices_as_they_are(blender: BlenderBackend) -> None:
+    """Every variant comes out the same whatever was rendered before it, and pixels that a removed body does not touch
+    are those of `all`: Cycles numbers its lamps anew where a world or a lamp is taken away and put back."""
+    ball = body("ball", Sphere(radius=0.2), GREY, pose=at(0, 0, 0.2), insertable=True)
+    spec = scene((floor(GREY), ball), camera(look((0, 9, 6), (0, 0, 0)), size=48, focal=60))
+    lamps = [PointLight(name=f"lamp{x}", position=(x, 1, 2), intensity=(5, 5, 5), radius=0.2) for x in range(3)]
+    seen: dict[str, Float32] = {}
+    for variant in ("all", "without_ball", "all", "foreground_ball", "without_ball", "all") * 2:
+        layers = render(blender, spec, (*lamps, DAY, DUSK), variant=variant, spp=2).radiance
+        np.testing.assert_array_equal(layers, seen.setdefault(variant, layers), err_msg=variant)
+    same = (seen["all"] == seen["without_ball"]).all(axis=-1).mean(axis=(1, 2))
+    assert (same > 0.5).all(), same
+
+
 def test_emission_follows_its_texture(blender: BlenderBackend) -> None:
     card = body("card", Rectangle(width=4, height=4), Material(base_color=(0, 0, 0), ior=1.0), pose=at(0, 0, 0))
     glow = EmissiveLight(name="glow", body="card", radiance=(2, 4, 8), texture=Texture(image="halves", repeat=(0.5, 1)))
