@@ -15,6 +15,7 @@ from multilight.scenes.arrays import Float64
 from multilight.scenes.cameras.pinhole import SENSOR_MM, camera_from_lens, look_at
 from multilight.scenes.frozen import Frozen, UnitFloat
 from multilight.scenes.spec import Camera
+from multilight.scenes.streams import Weights, log_uniform
 
 TrajectoryKind = Literal["approach", "orbit", "handheld", "random"]
 """From distant to close; round the subject; a hand that holds still as best it can; anywhere at all."""
@@ -27,10 +28,8 @@ Lens = Annotated[float, Field(ge=12, le=200, json_schema_extra={"unit": "mm"})]
 FNumber = Annotated[float, Field(ge=0.95, le=64)]
 
 
-class TrajectoryShares(Frozen):
+class TrajectoryShares(Weights[TrajectoryKind]):
     """How often each kind of trajectory comes, relative to the others."""
-
-    model_config = ConfigDict(use_attribute_docstrings=True)
 
     approach: UnitFloat = 0.4
     """From distant to close on an arc."""
@@ -40,12 +39,6 @@ class TrajectoryShares(Frozen):
     """One standpoint, with the smooth wobble of a hand."""
     random: UnitFloat = 0.15
     """Each view from anywhere, with any lens."""
-
-    @model_validator(mode="after")
-    def _some_share(self) -> "TrajectoryShares":
-        if not self.approach + self.orbit + self.handheld + self.random > 0:
-            raise ValueError("at least one trajectory needs a share above 0")
-        return self
 
 
 class CameraSettings(Frozen):
@@ -108,10 +101,7 @@ class Path:
 
 def choose_trajectory(rng: np.random.Generator, settings: CameraSettings) -> TrajectoryKind:
     """Draw a kind of trajectory by the shares."""
-    shares = settings.trajectories.model_dump()
-    kinds: list[TrajectoryKind] = ["approach", "orbit", "handheld", "random"]
-    weights = np.array([shares[kind] for kind in kinds])
-    return kinds[int(rng.choice(len(kinds), p=weights / weights.sum()))]
+    return settings.trajectories.draw(rng)
 
 
 def draw_path(
@@ -196,7 +186,7 @@ def _orbit(rng: np.random.Generator, framing: Framing, views: int, lens: tuple[f
         azimuth=middle + side * sweep * (t - 0.5),
         elevation=np.clip(height, LOWEST, HIGHEST),
         roll=np.zeros(views),
-        focal=np.full(views, _log_uniform(rng, *lens)),
+        focal=np.full(views, log_uniform(rng, *lens)),
         framed=framed * (1.0 + 0.03 * _wander(rng, t)),
         towards=np.full(views, rng.uniform(0.7, 1.0)),
         sway=np.zeros((views, 3)),
@@ -215,7 +205,7 @@ def _handheld(rng: np.random.Generator, framing: Framing, views: int, lens: tupl
         azimuth=middle + wobble * np.radians(6.0) * _wander(rng, t),
         elevation=np.clip(height, LOWEST, HIGHEST),
         roll=wobble * np.radians(1.2) * _wander(rng, t),
-        focal=np.full(views, _log_uniform(rng, *lens)),
+        focal=np.full(views, log_uniform(rng, *lens)),
         framed=framed * drift * (1.0 + wobble * 0.04 * _wander(rng, t)),
         towards=np.full(views, rng.uniform(0.6, 1.0)),
         sway=wobble * 0.04 * np.stack([_wander(rng, t) for _ in range(3)], axis=-1),
@@ -242,8 +232,3 @@ def _wander(rng: np.random.Generator, t: Float64) -> Float64:
     for amplitude, cycles in ((0.9, (0.3, 0.8)), (0.8, (0.8, 1.6)), (0.5, (1.6, 2.8))):
         curve += amplitude * np.sin(2 * np.pi * (rng.uniform(*cycles) * t + rng.random()))
     return curve / np.sqrt((0.9**2 + 0.8**2 + 0.5**2) / 2)
-
-
-def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
-    """Draw between two positive numbers, evenly in their logarithm."""
-    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
