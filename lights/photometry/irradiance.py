@@ -13,6 +13,7 @@ from multilight.scenes.assets.environments import read_environment
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.colour import luminance
 from multilight.scenes.geometry.rays import SceneRays, body_triangles
+from multilight.scenes.poses import apply_pose
 from multilight.scenes.spec import MeshAsset, SceneSpec
 
 SKY_ROWS = 32
@@ -148,7 +149,7 @@ class StillLife:
         x, y = (axis.ravel() for axis in np.meshgrid(grid, grid))
         keep = np.hypot(x, y) <= 0.5 if light.shape == "disk" else np.full(x.shape, True)
         flat = np.column_stack([x * light.width, y * light.height, np.zeros(64)])[keep]
-        way = self.foot - (flat @ pose[:3, :3].T + pose[:3, 3])
+        way = self.foot - apply_pose(pose, flat)
         distance = np.linalg.norm(way, axis=1)
         emitted = np.maximum(way @ -pose[:3, 2] / distance, 0.0)
         received = meter(-way[:, 2] / distance)

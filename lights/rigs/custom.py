@@ -24,8 +24,8 @@ from multilight.lights.spec import (
 from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.formats.scene_file import FoundLight
 from multilight.scenes.assets.library import AssetLibrary
-from multilight.scenes.cameras.pinhole import matrix4
 from multilight.scenes.frozen import Rgb, Vector3
+from multilight.scenes.poses import matrix4
 from multilight.scenes.spec import SceneSpec
 
 PHOTOMETRIC = ("cd", "lx", "nit")

@@ -6,7 +6,6 @@ from typing import Literal
 import numpy as np
 
 from multilight.lights.photometry.colour import gel_rgb, random_gel, temperature_to_rgb
-from multilight.lights.photometry.directions import direction_from
 from multilight.lights.photometry.ies import luminaire, profile_flux
 from multilight.lights.photometry.irradiance import StillLife
 from multilight.lights.photometry.radiometry import (
@@ -17,8 +16,9 @@ from multilight.lights.photometry.radiometry import (
 )
 from multilight.lights.spec import AreaLight, PointLight, SpotLight
 from multilight.scenes.arrays import Float64
-from multilight.scenes.cameras.pinhole import look_at, matrix4
+from multilight.scenes.cameras.pinhole import look_at
 from multilight.scenes.frozen import Rgb, Vector3
+from multilight.scenes.poses import direction_from, matrix4
 
 LampKind = Literal["area", "point", "spot"]
 Lamp = PointLight | SpotLight | AreaLight

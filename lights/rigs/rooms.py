@@ -22,12 +22,12 @@ from multilight.lights.rigs.windows import daylight, sunlight
 from multilight.lights.spec import AreaLight, EmissiveLight, Light, LightRig, SpotLight
 from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.library import AssetLibrary
-from multilight.scenes.cameras.pinhole import matrix4
 from multilight.scenes.colour import luminance
 from multilight.scenes.frozen import Rgb
 from multilight.scenes.geometry.rays import body_triangles
 from multilight.scenes.materials import GLOW
 from multilight.scenes.materials.emission import sample_glow
+from multilight.scenes.poses import matrix4, translation
 from multilight.scenes.spec import Body, MeshAsset, SceneSpec, Texture
 from multilight.scenes.streams import Streams
 
@@ -228,15 +228,13 @@ def _downlight(rng: np.random.Generator, scene: SceneSpec, suffix: str) -> SpotL
             radius=0.03,
         )
     side = float(rng.uniform(0.2, 0.6))
-    pose = np.eye(4)
-    pose[:3, 3] = place
     flux = watts_from_photometric(log_uniform(rng, 700.0, 2500.0))
     return AreaLight(
         name=f"panel{suffix}",
         colour_temperature=temperature,
         width=side,
         height=side,
-        world_from_light=matrix4(pose),
+        world_from_light=matrix4(translation(place)),
         radiance=rgb_from_scalar(area_radiance_from_flux(flux, side * side), colour),
     )
 

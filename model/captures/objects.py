@@ -11,6 +11,7 @@ from multilight.scenes.arrays import Float32, Float64, Int64
 from multilight.scenes.cameras.pinhole import pixel_rays, project
 from multilight.scenes.colour import srgb_decode, srgb_encode
 from multilight.scenes.meshes import MeshPart
+from multilight.scenes.poses import apply_pose
 from multilight.scenes.spec import Camera
 
 GRID = 3
@@ -49,8 +50,7 @@ class PlacedObject:
         self.asset, self.pose = asset, world_from_asset
         parts = asset.mesh.parts
         starts = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
-        local = asset.mesh.vertices().astype(np.float64)
-        self.vertices = local @ world_from_asset[:3, :3].T + world_from_asset[:3, 3]
+        self.vertices = apply_pose(world_from_asset, asset.mesh.vertices().astype(np.float64))
         turned = np.concatenate([part.normals for part in parts]) @ world_from_asset[:3, :3].T
         self._normals = turned / np.linalg.norm(turned, axis=1, keepdims=True)
         self._uv = np.concatenate([part.uv for part in parts])

@@ -12,8 +12,9 @@ import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 
 from multilight.scenes.arrays import Float64
-from multilight.scenes.cameras.pinhole import SENSOR_MM, camera_from_lens, look_at
+from multilight.scenes.cameras.pinhole import camera_from_lens, half_angle, look_at
 from multilight.scenes.frozen import Frozen, UnitFloat
+from multilight.scenes.poses import direction_from
 from multilight.scenes.spec import Camera
 from multilight.scenes.streams import Weights, log_uniform
 
@@ -125,13 +126,10 @@ def camera_on(path: Path, view: int, aims: tuple[Float64, Float64], size: tuple[
     """Place the camera of a view; `aims` are the middles (3,) of the table and of the objects, `size` in pixels."""
     framed, focal = float(path.framed[view]), float(path.focal[view])
     aim = aims[0] + path.towards[view] * (aims[1] - aims[0]) + framed * path.sway[view]
-    half = np.arctan(SENSOR_MM / (2.0 * focal) * min(size) / max(size))
     azimuth, elevation = path.azimuth[view], path.elevation[view]
-    level = np.cos(elevation)
-    way = np.array([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
     lean = float(np.tan(path.roll[view]))
     up = (-np.sin(azimuth) * lean, np.cos(azimuth) * lean, 1.0)
-    pose = look_at(aim + framed / np.sin(half) * way, aim, up=up)
+    pose = look_at(aim + framed / np.sin(half_angle(focal, size)) * direction_from(azimuth, elevation), aim, up=up)
     return camera_from_lens(pose, width=size[0], height=size[1], focal_length_mm=focal)
 
 

@@ -9,6 +9,7 @@ from trimesh.ray.ray_pyembree import RayMeshIntersector
 from multilight.scenes.arrays import Float64, Int64, Mask
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.geometry.support_surfaces import stacked_faces
+from multilight.scenes.poses import apply_pose
 from multilight.scenes.spec import Body, MeshAsset, Rectangle, Sphere
 
 
@@ -29,8 +30,7 @@ def body_triangles(body: Body, library: AssetLibrary) -> tuple[Float64, Int64]:
             vertices = radius * np.concatenate([flat, np.broadcast_to(np.cos(angle)[:, None, None], (13, 24, 1))], -1)
             hull = Trimesh(vertices.reshape(-1, 3), process=False).convex_hull
             vertices, faces = hull.vertices, hull.faces
-    pose = np.array(body.world_from_body)
-    return vertices @ pose[:3, :3].T + pose[:3, 3], np.asarray(faces, np.int64)
+    return apply_pose(np.array(body.world_from_body), vertices), np.asarray(faces, np.int64)
 
 
 class SceneRays:

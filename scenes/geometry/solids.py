@@ -17,6 +17,7 @@ from trimesh import Trimesh
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from multilight.scenes.arrays import Float64, Int64, Mask
+from multilight.scenes.poses import apply_pose
 
 MOST_HITS = 200
 """Surfaces that a ray is followed through."""
@@ -175,13 +176,13 @@ class Placed:
     @cached_property
     def box(self) -> tuple[Float64, Float64]:
         """Lowest and highest corner of the box about it in the world, (3,) each, metres."""
-        points = self.solid.vertices @ self.pose[:3, :3].T + self.pose[:3, 3]
+        points = apply_pose(self.pose, self.solid.vertices)
         return points.min(axis=0), points.max(axis=0)
 
     @cached_property
     def triangles(self) -> Float64:
         """The triangles in the world, (F, 3, 3) [m]."""
-        return (self.solid.vertices @ self.pose[:3, :3].T + self.pose[:3, 3])[self.solid.faces]
+        return apply_pose(self.pose, self.solid.vertices)[self.solid.faces]
 
     @cached_property
     def _boxes(self) -> tuple[Float64, Float64]:

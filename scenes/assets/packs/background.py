@@ -24,10 +24,10 @@ from multilight.scenes.assets.formats.cleaning import RawPart, clean_mesh, exten
 from multilight.scenes.assets.formats.mtl import part_name
 from multilight.scenes.assets.formats.scene_file import FoundLight, Imported, Node, image_digest
 from multilight.scenes.assets.info import AssetError, AssetInfo
-from multilight.scenes.cameras.pinhole import matrix4
 from multilight.scenes.files.inside import OutsideError, inside
 from multilight.scenes.frozen import Frozen, Matrix4, Slug
 from multilight.scenes.meshes import Mesh, MeshPart, load_mesh, save_mesh
+from multilight.scenes.poses import matrix4, translation
 from multilight.scenes.spec import Material, Texture
 
 T = TypeVar("T")
@@ -256,8 +256,7 @@ def _write_piece(node: Node, name: str, work: Path) -> tuple[Piece, list[FoundLi
     kept = [int(part.name) for part in mesh.parts]
     parts = tuple(_named(part, node.parts[i].material) for i, part in zip(kept, mesh.parts, strict=True))
     save_mesh(Mesh(parts), work / f"{name}.npz")
-    pose = np.eye(4)
-    pose[:3, 3] = [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]]
+    pose = translation([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
     x, y, z = (round(float(v), 5) for v in high - low)
     lights = [
         FoundLight(kind="emissive", name=name, amount=e.amount, unit=e.unit, node=name, part=number, texture=e.texture)
