@@ -12,6 +12,7 @@ from multilight.lights.rigs.balance import scaled
 from multilight.lights.rigs.design import RigDesign
 from multilight.lights.rigs.tabletop import LightKind, glow_share, tabletop_rig
 from multilight.lights.spec import (
+    SUN_ANGLE,
     AreaLight,
     EmissiveLight,
     EnvironmentLight,
@@ -29,8 +30,6 @@ from multilight.scenes.poses import matrix4
 from multilight.scenes.spec import SceneSpec
 
 PHOTOMETRIC = ("cd", "lx", "nit")
-SUN_ANGLE = 0.00918
-"""Diameter of the sun's disc [rad], for files that give none."""
 MOST_ANGLE = 0.5
 
 MOST = 16

@@ -13,7 +13,7 @@ from multilight.scenes.colour import luminance
 from multilight.scenes.poses import direction_from
 
 SUN_DIAMETER = 0.0093
-"""The sun's angular diameter [rad]."""
+"""Diameter of the sun's disc [rad], its mean over the year; `lights.spec.SUN_ANGLE` is its smallest."""
 _SKY_UNIT = watts_from_photometric(1000.0)
 """Radiance [W/(m² sr)] of a map's 1 kcd/m²."""
 

@@ -6,7 +6,7 @@ from multilight.lights.photometry.colour import temperature_to_rgb
 from multilight.lights.photometry.irradiance import map_directions, small_map
 from multilight.lights.photometry.radiometry import rgb_from_scalar, watts_from_photometric
 from multilight.lights.rigs.lamps import log_uniform
-from multilight.lights.spec import EnvironmentLight, SunLight
+from multilight.lights.spec import SUN_ANGLE, EnvironmentLight, SunLight
 from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.colour import luminance
@@ -58,7 +58,7 @@ def sunlight(rng: np.random.Generator, windows: list[Body], sky_lux: float) -> S
     towards = direction_from(azimuth, elevation)
     temperature = round(float(np.interp(elevation, [0.25, 0.9], [3800.0, 5600.0]) * rng.uniform(0.95, 1.05)))
     strength = watts_from_photometric(sky_lux * log_uniform(rng, *SUN_RATIO))
-    angle = 0.00918 if rng.random() < 0.6 else log_uniform(rng, 0.00918, 0.05)
+    angle = SUN_ANGLE if rng.random() < 0.6 else log_uniform(rng, SUN_ANGLE, 0.05)
     return SunLight(
         name="sun",
         colour_temperature=temperature,
