@@ -19,6 +19,7 @@ from multilight.scenes.arrays import Float64
 from multilight.scenes.cameras.pinhole import look_at
 from multilight.scenes.frozen import Rgb, Vector3
 from multilight.scenes.poses import direction_from, matrix4
+from multilight.scenes.streams import log_uniform
 
 LampKind = Literal["area", "point", "spot"]
 Lamp = PointLight | SpotLight | AreaLight
@@ -188,8 +189,3 @@ def _free_place(rng: np.random.Generator, place: StillLife, post: Post) -> Float
 def vector(values: Float64) -> Vector3:
     """Turn an array (3,) into the tuple that specifications hold."""
     return float(values[0]), float(values[1]), float(values[2])
-
-
-def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
-    """Draw between two positive numbers, evenly in their logarithm."""
-    return float(np.exp(rng.uniform(np.log(low), np.log(high))))

@@ -17,7 +17,6 @@ from multilight.lights.photometry.radiometry import (
 )
 from multilight.lights.rigs.balance import scaled
 from multilight.lights.rigs.design import rig_design
-from multilight.lights.rigs.lamps import log_uniform
 from multilight.lights.rigs.windows import daylight, sunlight
 from multilight.lights.spec import AreaLight, EmissiveLight, Light, LightRig, SpotLight
 from multilight.scenes.arrays import Float64
@@ -29,7 +28,7 @@ from multilight.scenes.materials import GLOW
 from multilight.scenes.materials.emission import sample_glow
 from multilight.scenes.poses import matrix4, translation
 from multilight.scenes.spec import Body, MeshAsset, SceneSpec, Texture
-from multilight.scenes.streams import Streams
+from multilight.scenes.streams import Streams, log_uniform, weighted_pick
 
 MOST_LIGHTS = 8
 DAY_LUX = (200.0, 1200.0)
@@ -81,7 +80,7 @@ def sample_room_rig(
     windows = [body for body in scene.bodies if body.category == "window"]
     if not windows and not glows:
         raise ValueError(f"scene {scene.index} has neither windows nor lamps, so nothing can light it")
-    hour = str(rng.choice(["day", "dusk", "night"], p=[0.66, 0.22, 0.12]))
+    hour = weighted_pick(rng, {"day": 0.66, "dusk": 0.22, "night": 0.12})
     if sum(glow.bright for glow in glows) < 2 or not windows:
         hour = "day" if windows else "night"
     inserted = sum(glow.body.insertable for glow in glows)

@@ -5,13 +5,13 @@ import numpy as np
 from multilight.lights.photometry.colour import temperature_to_rgb
 from multilight.lights.photometry.irradiance import map_directions, small_map
 from multilight.lights.photometry.radiometry import rgb_from_scalar, watts_from_photometric
-from multilight.lights.rigs.lamps import log_uniform
 from multilight.lights.spec import SUN_ANGLE, EnvironmentLight, SunLight
 from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.colour import luminance
 from multilight.scenes.poses import direction_from
 from multilight.scenes.spec import Body
+from multilight.scenes.streams import log_uniform
 
 SUN_RATIO = (1.0, 5.0)
 """Illuminance of sunlight, facing it, against that of the sky on the window."""

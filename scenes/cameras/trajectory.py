@@ -22,6 +22,7 @@ from multilight.scenes.cameras.pinhole import project, with_depth_of_field
 from multilight.scenes.geometry.rays import SceneRays
 from multilight.scenes.poses import box_centre, translation
 from multilight.scenes.spec import Camera
+from multilight.scenes.streams import log_uniform
 
 CLEARANCE = 0.08
 """Smallest distance [m] of a camera to the convex hull of any body, and to any wall."""
@@ -157,7 +158,7 @@ def focused(
         return cameras
     watched = sorted(objects)
     centre = box_centre(objects[watched[int(rng.integers(len(watched)))]])
-    f_number = float(np.exp(rng.uniform(*np.log(settings.f_number))))
+    f_number = log_uniform(rng, *settings.f_number)
     depths = [float(project(camera, centre[None])[1][0]) for camera in cameras]
     # An object behind the camera cannot be in focus: such a view looks into the distance.
     return tuple(

@@ -17,6 +17,7 @@ from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.meshes import Mesh
 from multilight.scenes.spec import Texture
+from multilight.scenes.streams import log_uniform
 
 
 @dataclass(frozen=True)
@@ -94,7 +95,7 @@ def sample_glow(
     is the body's uniform scale. Values are drawn evenly in their logarithm.
     """
     emission = emission_of(info)
-    value = float(np.exp(rng.uniform(np.log(emission.low), np.log(emission.high))))
+    value = log_uniform(rng, emission.low, emission.high)
     if emission.quantity == "lumens":
         value /= np.pi * part_area(library.mesh(info.id), part) * scale**2
     kelvin = float(rng.uniform(*emission.kelvin))
