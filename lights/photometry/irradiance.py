@@ -13,6 +13,7 @@ from multilight.scenes.assets.environments import read_environment
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.colour import luminance
 from multilight.scenes.geometry.rays import SceneRays, body_triangles
+from multilight.scenes.numbers import smoothstep
 from multilight.scenes.poses import apply_pose
 from multilight.scenes.spec import MeshAsset, SceneSpec
 
@@ -129,7 +130,7 @@ class StillLife:
         mean = 1.0 if light.gobo is None else image_mean(self.library, light.gobo)
         edge = np.cos(light.half_angle)
         t = np.clip((np.cos(angle) - edge) / max((1.0 - edge) * light.blend, 1e-9), 0.0, 1.0)
-        return mean * float(t * t * (3.0 - 2.0 * t))
+        return mean * float(smoothstep(t))
 
     def _sky_irradiance(self, light: EnvironmentLight, meter: Meter) -> float:
         """Sum radiance times cosine over the directions in which nothing but objects stands."""

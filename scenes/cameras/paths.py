@@ -14,6 +14,7 @@ from pydantic import ConfigDict, Field, model_validator
 from multilight.scenes.arrays import Float64
 from multilight.scenes.cameras.pinhole import camera_from_lens, half_angle, look_at
 from multilight.scenes.frozen import Frozen, UnitFloat
+from multilight.scenes.numbers import smoothstep
 from multilight.scenes.poses import direction_from
 from multilight.scenes.spec import Camera
 from multilight.scenes.streams import Weights, log_uniform
@@ -153,7 +154,7 @@ def _approach(rng: np.random.Generator, framing: Framing, views: int, lens: tupl
     middle, side = _middle_azimuth(rng, framing, sweep), float(rng.choice([-1.0, 1.0]))
     t = _steps(views)
     # Azimuth runs evenly; the approach starts gently and ends gently.
-    ease = 0.5 * t + 0.5 * t**2 * (3 - 2 * t)
+    ease = 0.5 * t + 0.5 * smoothstep(t)
     usual = float(np.sqrt(lens[0] * lens[1]))
     ends = np.log([rng.uniform(lens[0], usual), rng.uniform(0.9 * usual, lens[1])]).clip(*np.log(lens))
     elevation = np.radians([rng.uniform(20.0, 42.0), rng.uniform(16.0, 48.0)])
