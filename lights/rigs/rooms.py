@@ -19,13 +19,13 @@ from multilight.lights.rigs.balance import scaled
 from multilight.lights.rigs.design import rig_design
 from multilight.lights.rigs.windows import daylight, sunlight
 from multilight.lights.spec import AreaLight, EmissiveLight, Light, LightRig, SpotLight
-from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.colour import luminance
 from multilight.scenes.frozen import Rgb
-from multilight.scenes.geometry.rays import body_triangles
+from multilight.scenes.geometry.rays import body_triangles, part_triangles
 from multilight.scenes.materials import GLOW
 from multilight.scenes.materials.emission import sample_glow
+from multilight.scenes.meshes import triangle_areas
 from multilight.scenes.poses import matrix4, translation
 from multilight.scenes.spec import Body, MeshAsset, SceneSpec, Texture
 from multilight.scenes.streams import Streams, log_uniform, weighted_pick
@@ -118,8 +118,8 @@ def _glows(rng: np.random.Generator, scene: SceneSpec, library: AssetLibrary) ->
         for part, material in enumerate(body.materials):
             if material.name == GLOW and isinstance(body.geometry, MeshAsset):
                 name = library.mesh(body.geometry.asset).parts[part].name
-                area = float(np.linalg.norm(_crosses(body, part, library), axis=1).sum() / 2)
-                found.append(_Glow(body, part, _kind(body, name), area))
+                area = triangle_areas(part_triangles(body, part, library)).sum()
+                found.append(_Glow(body, part, _kind(body, name), float(area)))
                 break
     return sorted(found, key=lambda glow: (not glow.body.insertable, -FLUX.get(glow.kind, (0.0, 100.0))[1]))
 
@@ -129,16 +129,6 @@ def _kind(body: Body, part: str) -> str:
     if part in _FLAMES:
         return "candle"
     return body.category if body.category in FLUX else "screen"
-
-
-def _crosses(body: Body, part: int, library: AssetLibrary) -> Float64:
-    """Return the cross products of two edges of each triangle of a part, in the world, (F, 3) [m²]."""
-    vertices, faces = body_triangles(body, library)
-    assert isinstance(body.geometry, MeshAsset)
-    sizes = [len(p.faces) for p in library.mesh(body.geometry.asset).parts]
-    first = sum(sizes[:part])
-    a, b, c = np.moveaxis(vertices[faces[first : first + sizes[part]]], 1, 0)
-    return np.asarray(np.cross(b - a, c - a))
 
 
 def _shining(rng: np.random.Generator, glow: _Glow, library: AssetLibrary) -> EmissiveLight:

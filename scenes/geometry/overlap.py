@@ -12,6 +12,7 @@ from trimesh.triangles import closest_point
 
 from multilight.scenes.arrays import Float64, Int64
 from multilight.scenes.geometry.solids import Placed, Solid, bvh
+from multilight.scenes.meshes import triangle_crosses
 from multilight.scenes.poses import apply_pose
 
 ACCURACY = 1e-4
@@ -110,8 +111,8 @@ def _poke(first: Placed, second: Placed) -> float:
     """
     points = apply_pose(np.linalg.inv(second.pose) @ first.pose, first.solid.vertices)
     distance, face = second.solid.distance(points)
-    a, b, c = np.moveaxis(second.solid.triangles[face], 1, 0)
-    above = ((points - a) * np.cross(b - a, c - a)).sum(axis=1) > 0
+    nearest = second.solid.triangles[face]
+    above = ((points - nearest[:, 0]) * triangle_crosses(nearest)).sum(axis=1) > 0
     if above.all() or not above.any():
         return float((first.solid.high - first.solid.low).max())
     return min(float(distance[above].max()), float(distance[~above].max()))
