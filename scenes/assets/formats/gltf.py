@@ -89,7 +89,7 @@ def _placed(part: RawPart, turn: Float64, offset: Float64) -> RawPart:
 def raw_part(mesh: Any, keep: KeepImage) -> RawPart:
     """Translate one of trimesh's meshes, with its material."""
     uv = getattr(mesh.visual, "uv", None)
-    given = "vertex_normals" in mesh._cache.cache
+    given = "vertex_normals" in mesh._cache  # nowhere else does trimesh tell those of the file from its own
     return RawPart(
         pbr_material(mesh.visual, keep, has_uv=uv is not None),
         np.asarray(mesh.vertices, np.float64),

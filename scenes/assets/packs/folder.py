@@ -25,6 +25,7 @@ from multilight.scenes.assets.formats.cleaning import Z_UP_FROM_Y_UP, RawPart, c
 from multilight.scenes.assets.formats.gltf import raw_part
 from multilight.scenes.assets.formats.scene_file import image_digest
 from multilight.scenes.assets.info import AssetError, AssetInfo
+from multilight.scenes.assets.packs.pack import Pack
 from multilight.scenes.files.inside import OutsideError, held, plain_name
 from multilight.scenes.meshes import Mesh
 from multilight.scenes.names import slug
@@ -48,7 +49,7 @@ class _Entry:
     up_axis: str = "Y"
 
 
-class FolderPack:
+class FolderPack(Pack):
     """The models under `folder`; the pack carries the folder's name."""
 
     def __init__(self, folder: Path, cache: Path) -> None:
@@ -161,10 +162,6 @@ class FolderPack:
         if match is None or not is_sound(self._texture_file(match[1])):
             raise AssetError(f"no texture '{self.name}/{name}'; load the model that uses it first")
         return self._texture_file(match[1])
-
-    def environment(self, name: str) -> Path:
-        """Raise: there are none here."""
-        raise AssetError(f"{self.name}/{name} is not an environment map")
 
 
 def _name(text: str) -> str:
