@@ -1,17 +1,21 @@
 """Triangle meshes as backends receive them, and the plain shapes as meshes."""
 
 import hashlib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.lib.npyio import NpzFile
 from numpy.typing import NDArray
 
-from multilight.scenes.arrays import Float32
+from multilight.scenes.arrays import Float32, Int64
 from multilight.scenes.files.whole import write_whole
 from multilight.scenes.frozen import Frozen
 from multilight.scenes.spec import Material, Rectangle, Sphere
+
+Real = TypeVar("Real", np.float32, np.float64)
 
 
 @dataclass(frozen=True)
@@ -29,6 +33,10 @@ class MeshPart:
     uv: Float32
     material: Material
 
+    def triangles(self) -> Float32:
+        """Return the corners of its faces, (F, 3, 3) float32, metres."""
+        return self.vertices[self.faces]
+
 
 @dataclass(frozen=True)
 class Mesh:
@@ -39,6 +47,10 @@ class Mesh:
     def vertices(self) -> Float32:
         """Stack all parts' vertices, (N, 3) float32, metres."""
         return np.concatenate([part.vertices for part in self.parts])
+
+    def part_of_face(self) -> Int64:
+        """Return the part that each face belongs to, all parts' faces stacked, (F,) int64."""
+        return np.repeat(np.arange(len(self.parts)), [len(part.faces) for part in self.parts])
 
     def bounds(self) -> Float32:
         """Return the lowest and the highest corner, (2, 3) float32, metres."""
@@ -53,6 +65,27 @@ class Mesh:
             for array in (part.vertices, part.faces, part.normals, part.uv):
                 digest.update(np.ascontiguousarray(array).tobytes())
         return digest.hexdigest()
+
+
+def stacked(pieces: Iterable[tuple[NDArray[Real], NDArray[np.integer]]]) -> tuple[NDArray[Real], Int64]:
+    """Join the vertices (V, D) and faces (F, 3) of pieces into one; the faces come as int64."""
+    pieces = list(pieces)
+    starts = np.cumsum([0] + [len(vertices) for vertices, _ in pieces[:-1]])
+    faces = [faces.astype(np.int64) + start for (_, faces), start in zip(pieces, starts, strict=True)]
+    return np.concatenate([vertices for vertices, _ in pieces]), np.concatenate(faces)
+
+
+def triangle_crosses(triangles: NDArray[Real]) -> NDArray[Real]:
+    """Return the cross products (F, 3) of two edges of triangles (F, 3, 3): along their normals, twice as long as their
+    areas [m²].
+    """
+    a, b, c = np.moveaxis(triangles, 1, 0)
+    return np.asarray(np.cross(b - a, c - a))
+
+
+def triangle_areas(triangles: NDArray[Real]) -> NDArray[Real]:
+    """Return the areas (F,) of triangles (F, 3, 3) [m²]."""
+    return np.asarray(np.linalg.norm(triangle_crosses(triangles), axis=1) / 2)
 
 
 def sphere_part(shape: Sphere, material: Material) -> MeshPart:

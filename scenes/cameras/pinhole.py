@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from multilight.scenes.arrays import Float64
-from multilight.scenes.frozen import Matrix4
+from multilight.scenes.poses import matrix4
 from multilight.scenes.spec import Camera
 
 SENSOR_MM = 36.0
@@ -40,14 +40,6 @@ def look_at(eye: ArrayLike, target: ArrayLike, up: Sequence[float] = (0.0, 0.0, 
     return c2w
 
 
-def matrix4(matrix: ArrayLike) -> Matrix4:
-    """Turn a 4x4 array into the nested tuples that specifications hold."""
-    rows = np.asarray(matrix, np.float64)
-    if rows.shape != (4, 4):
-        raise ValueError(f"expected a 4x4 matrix, got shape {rows.shape}")
-    return tuple(tuple(float(x) for x in row) for row in rows)  # type: ignore[return-value]
-
-
 def camera_from_fov(c2w: ArrayLike, *, width: int, height: int, fov: float) -> Camera:
     """Return a centred camera with square pixels; `fov` [rad] spans the image's longer side."""
     if not 0.0 < fov < math.pi:
@@ -72,6 +64,11 @@ def focal_length_mm(camera: Camera) -> float:
     return SENSOR_MM * camera.fx / max(camera.width, camera.height)
 
 
+def half_angle(focal_length_mm: float, size: tuple[int, int]) -> float:
+    """Return half the angle [rad] that the shorter side of a picture of `size` (width, height) [pixels] spans."""
+    return float(np.arctan(SENSOR_MM / (2.0 * focal_length_mm) * min(size) / max(size)))
+
+
 def with_depth_of_field(camera: Camera, *, f_number: float, focus_distance: float) -> Camera:
     """Open the lens: aperture as on a full-frame camera, focused on the plane at `focus_distance` [m].
 
@@ -91,6 +88,12 @@ def circle_of_confusion(camera: Camera, z_depth: ArrayLike) -> Float64:
     """
     depth = np.asarray(z_depth, np.float64)
     return np.asarray(2.0 * camera.aperture_radius * camera.fx * np.abs(1.0 / depth - 1.0 / camera.focus_distance))
+
+
+def camera_of(intrinsics: ArrayLike, c2w: ArrayLike, size: Sequence[int]) -> Camera:
+    """Return the camera of K (3, 3) in pixels, c2w (4, 4) with OpenGL axes, and a picture's (height, width)."""
+    (fx, _, cx), (_, fy, cy), _ = np.asarray(intrinsics, np.float64)
+    return Camera(width=size[1], height=size[0], fx=fx, fy=fy, cx=cx, cy=cy, c2w=matrix4(c2w))
 
 
 def opencv_from_opengl(c2w: ArrayLike) -> Float64:

@@ -10,29 +10,29 @@ import numpy as np
 from PIL import Image
 from pydantic import TypeAdapter
 
-from multilight.scenes.assets import derived_maps as derived
-from multilight.scenes.assets.builtin import backdrops as backdrop
+from multilight.scenes.assets import derived_maps
 from multilight.scenes.assets.builtin import (
+    backdrops,
     furnishings,
     garden,
+    joinery,
     lamps,
     luminaires,
     parts,
+    plates,
     primitives,
     signs,
+    skies,
     tables,
     tableware,
     toys,
 )
-from multilight.scenes.assets.builtin import joinery as fittings
-from multilight.scenes.assets.builtin import plates as receivers
-from multilight.scenes.assets.builtin import skies as sky
 from multilight.scenes.assets.builtin.parts import Part, Rng, to_mesh
-from multilight.scenes.assets.builtin.textures import gobos, grounds, patterns, screens
-from multilight.scenes.assets.builtin.textures import surfaces as textures
+from multilight.scenes.assets.builtin.textures import gobos, grounds, patterns, screens, surfaces
 from multilight.scenes.assets.cache import is_sound, kept, sources_key, write_json, write_once
 from multilight.scenes.assets.environments import bpy_environment_path, bpy_environments
 from multilight.scenes.assets.info import AssetError, AssetInfo, AssetRole
+from multilight.scenes.assets.packs.pack import Pack
 from multilight.scenes.meshes import Mesh
 
 Recipe = Callable[[Rng], list[Part]]
@@ -87,13 +87,13 @@ SURROUNDINGS: dict[str, tuple[Recipe, int]] = {
     "bench": (garden.bench, 3),
     "garden-chair": (garden.garden_chair, 3),
     "planter": (garden.planter, 3),
-    "plinth": (receivers.plinth, 12),
-    "slab": (receivers.slab, 6),
-    "standing-mirror": (receivers.standing_mirror, 4),
-    "sweep": (backdrop.seamless_paper, 1),
-    "sweep-roll": (backdrop.paper_roll, 1),
-    "sweep-table": (backdrop.table_sweep, 2),
-    "tray": (receivers.tray, 3),
+    "plinth": (plates.plinth, 12),
+    "slab": (plates.slab, 6),
+    "standing-mirror": (plates.standing_mirror, 4),
+    "sweep": (backdrops.seamless_paper, 1),
+    "sweep-roll": (backdrops.paper_roll, 1),
+    "sweep-table": (backdrops.table_sweep, 2),
+    "tray": (plates.tray, 3),
     **furnishings.FITTINGS,
     **luminaires.LUMINAIRES,
 }
@@ -180,26 +180,26 @@ def builtin_models() -> list[AssetInfo]:
     return _model_infos(OBJECTS, "object") + _model_infos(TABLES, "table") + _model_infos(SURROUNDINGS, "surrounding")
 
 
-class BuiltinPack:
+class BuiltinPack(Pack):
     """Everything that needs no download."""
 
     name = "builtin"
 
     def __init__(self, cache: Path) -> None:
         self._cache = cache
-        made_of = (primitives, parts, fittings, backdrop)
-        modules = (*made_of, tableware, toys, tables, lamps, signs, garden, receivers, furnishings, luminaires)
+        made_of = (primitives, parts, joinery, backdrops)
+        modules = (*made_of, tableware, toys, tables, lamps, signs, garden, plates, furnishings, luminaires)
         self._model_key = sources_key(*(str(module.__file__) for module in modules), __file__)
         self._texture_key = sources_key(
-            textures.__file__, patterns.__file__, grounds.__file__, screens.__file__, derived.__file__
+            surfaces.__file__, patterns.__file__, grounds.__file__, screens.__file__, derived_maps.__file__
         )
-        self._gobo_key, self._sky_key = sources_key(gobos.__file__), sources_key(sky.__file__)
+        self._gobo_key, self._sky_key = sources_key(gobos.__file__), sources_key(skies.__file__)
 
     def infos(self) -> list[AssetInfo]:
         """List models, textures, skies and bpy's HDRIs; models are measured once and remembered in the cache."""
         index = self._cache / "index" / f"builtin-{self._model_key}.json"
         models = kept(index, _read_index, lambda path: write_json(path, [asdict(info) for info in builtin_models()]))
-        return models + _texture_infos() + sky.sky_infos(licence=LICENCE, creator=CREATOR) + bpy_environments()
+        return models + _texture_infos() + skies.sky_infos(licence=LICENCE, creator=CREATOR) + bpy_environments()
 
     def mesh_key(self, name: str) -> str:
         """Hash the recipes' source."""
@@ -215,26 +215,26 @@ class BuiltinPack:
             gobo = self._cache / "textures" / "builtin" / self._gobo_key / f"{name}.png"
             return write_once(gobo, lambda path: Image.fromarray(gobos.make_gobo(name)).save(path))
         base = name.removesuffix("-normal").removesuffix("-roughness")
-        if name not in screens.SCREENS and base not in textures.TEXTURES:
-            raise AssetError(f"no texture 'builtin/{name}'; there are {', '.join(sorted(textures.TEXTURES))}")
+        if name not in screens.SCREENS and base not in surfaces.TEXTURES:
+            raise AssetError(f"no texture 'builtin/{name}'; there are {', '.join(sorted(surfaces.TEXTURES))}")
         folder = self._cache / "textures" / "builtin" / self._texture_key
         path = folder / f"{name}.png"
         if name in screens.SCREENS:
             return write_once(path, screens.make_screen(name).save)
         if not is_sound(path):
-            for suffix, pixels in zip(("", "-normal", "-roughness"), textures.make_texture(base), strict=True):
+            for suffix, pixels in zip(("", "-normal", "-roughness"), surfaces.make_texture(base), strict=True):
                 write_once(folder / f"{base}{suffix}.png", Image.fromarray(pixels).save)
         return path
 
     def environment(self, name: str) -> Path:
         """Return a sky, made on first use, or one of bpy's own EXR files."""
-        if name in sky.SKIES:
-            return sky.sky_path(name, self._cache / "environments" / "builtin" / self._sky_key)
+        if name in skies.SKIES:
+            return skies.sky_path(name, self._cache / "environments" / "builtin" / self._sky_key)
         return bpy_environment_path(name, self._cache)
 
 
 def _texture_infos() -> list[AssetInfo]:
-    surfaces = [
+    mapped = [
         _texture_info(
             name,
             recipe.category,
@@ -242,10 +242,10 @@ def _texture_infos() -> list[AssetInfo]:
             normal_map=f"builtin/{name}-normal",
             roughness_map=f"builtin/{name}-roughness",
         )
-        for name, recipe in textures.TEXTURES.items()
+        for name, recipe in surfaces.TEXTURES.items()
     ]
     flat = {name: screen.category for name, screen in screens.SCREENS.items()} | dict.fromkeys(gobos.GOBOS, "gobo")
-    return surfaces + [_texture_info(name, category) for name, category in flat.items()]
+    return mapped + [_texture_info(name, category) for name, category in flat.items()]
 
 
 def _texture_info(name: str, category: str, **about: Any) -> AssetInfo:

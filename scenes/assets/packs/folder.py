@@ -25,8 +25,10 @@ from multilight.scenes.assets.formats.cleaning import Z_UP_FROM_Y_UP, RawPart, c
 from multilight.scenes.assets.formats.gltf import raw_part
 from multilight.scenes.assets.formats.scene_file import image_digest
 from multilight.scenes.assets.info import AssetError, AssetInfo
+from multilight.scenes.assets.packs.pack import Pack
 from multilight.scenes.files.inside import OutsideError, held, plain_name
 from multilight.scenes.meshes import Mesh
+from multilight.scenes.names import slug
 from multilight.scenes.spec import Texture
 
 SUFFIXES = (".glb", ".gltf", ".obj")
@@ -47,7 +49,7 @@ class _Entry:
     up_axis: str = "Y"
 
 
-class FolderPack:
+class FolderPack(Pack):
     """The models under `folder`; the pack carries the folder's name."""
 
     def __init__(self, folder: Path, cache: Path) -> None:
@@ -161,19 +163,15 @@ class FolderPack:
             raise AssetError(f"no texture '{self.name}/{name}'; load the model that uses it first")
         return self._texture_file(match[1])
 
-    def environment(self, name: str) -> Path:
-        """Raise: there are none here."""
-        raise AssetError(f"{self.name}/{name} is not an environment map")
 
-
-def _slug(text: str) -> str:
-    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-") or "folder"
+def _name(text: str) -> str:
+    return slug(text, "-") or "folder"
 
 
 def _scan(folder: Path) -> list[_Entry]:
     files = sorted(path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES and path.is_file())
     relative = [path.relative_to(folder) for path in files]
-    return [_Entry(_slug(str(path.with_suffix(""))), str(path)) for path in relative]
+    return [_Entry(_name(str(path.with_suffix(""))), str(path)) for path in relative]
 
 
 def _read_table(table: Path) -> list[_Entry]:
@@ -209,7 +207,7 @@ def _entry(row: dict[str, str], where: str) -> _Entry:
     if row.get("role", "object") not in ("object", "table"):
         raise AssetError(f"{where}: role {row['role']!r} must be object or table")
     return _Entry(
-        name=_slug(row.get("id", str(file.with_suffix("")))),
+        name=_name(row.get("id", str(file.with_suffix("")))),
         file=str(file),
         role=row.get("role", "object"),
         category=row.get("category", "object"),

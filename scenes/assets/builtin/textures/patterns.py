@@ -9,6 +9,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial import cKDTree
 
 from multilight.scenes.arrays import Float64, Int64
+from multilight.scenes.numbers import smoothstep
 
 Rng = np.random.Generator
 Colour = tuple[float, float, float]
@@ -49,8 +50,7 @@ def ramp(t: Float64, colours: tuple[Colour, ...]) -> Float64:
 
 def step(x: Float64, low: float, high: float) -> Float64:
     """Rise smoothly from 0 at `low` to 1 at `high`."""
-    t = np.clip((x - low) / (high - low), 0, 1)
-    return t * t * (3 - 2 * t)
+    return smoothstep(np.clip((x - low) / (high - low), 0, 1))
 
 
 def wood(rng: Rng, n: int, *, colours: tuple[Colour, ...], rings: int) -> tuple[Float64, Float64]:
