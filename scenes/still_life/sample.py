@@ -199,11 +199,7 @@ def _plinths(
 
 
 def _subject(
-    rng: np.random.Generator,
-    library: AssetLibrary,
-    setting: Setting,
-    added: list[Body],
-    solids: CollisionManager,
+    rng: np.random.Generator, library: AssetLibrary, setting: Setting, added: list[Body], solids: CollisionManager
 ) -> Subject:
     """Collect what the trajectory must show and avoid."""
     bodies = [*setting.bodies, *added]

@@ -1,4 +1,4 @@
-"""Built-in furnishings: curtains, pictures, mirrors, rugs, rows of books and wall shelves; with the fittings, a table.
+"""Built-in furnishings of rooms: curtains, pictures, mirrors, rugs, rows of books and wall shelves.
 
 What hangs on a wall faces -Y, its back at +Y.
 """
@@ -9,9 +9,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from multilight.scenes.assets.builtin.joinery import WINDOWS, bar, door, painted, window
+from multilight.scenes.assets.builtin.joinery import WINDOWS, door, painted, window
 from multilight.scenes.assets.builtin.parts import METALS, Part, Rng, pick, tiled
-from multilight.scenes.assets.builtin.primitives import Surface, from_grid, merge, prism, rotation, tube
+from multilight.scenes.assets.builtin.primitives import Surface, bar, bar_pair, from_grid, merge, prism, rotation, tube
 from multilight.scenes.spec import Material, Rgb
 
 CURTAIN_HEIGHT = 2.38
@@ -59,8 +59,7 @@ def curtains(rng: Rng, *, width: float) -> list[Part]:
     ]
     end, top = width / 2 + bunch + 0.04, CURTAIN_HEIGHT - 0.02
     rod = [tube([(x, out, top) for x in np.linspace(-end, end, 3)], 0.012, segments=12)]
-    for s in (-1, 1):
-        rod.append(bar((s * (end - 0.03) - 0.008, s * (end - 0.03) + 0.008), (out, 0.0), (top - 0.02, top - 0.004)))
+    rod += bar_pair((end - 0.03 - 0.008, end - 0.03 + 0.008), (out, 0.0), (top - 0.02, top - 0.004))
     metal = Material(name="rod", base_color=pick(rng, METALS), metallic=1.0, roughness=0.35)
     return [(merge(drapes), cloth), (merge(rod), metal)]
 
@@ -68,7 +67,7 @@ def curtains(rng: Rng, *, width: float) -> list[Part]:
 def _framed(width: float, height: float, section: float, depth: float) -> Surface:
     """Frame a rectangle that stands on z = 0, its back at y = 0."""
     half, deep = width / 2, (-depth, 0.0)
-    sides = [bar((s * half - section * (s > 0), s * half + section * (s < 0)), deep, (0.0, height)) for s in (-1, 1)]
+    sides = bar_pair((half - section, half), deep, (0.0, height))
     flats = [bar((-half + section, half - section), deep, z) for z in ((0.0, section), (height - section, height))]
     return merge([*sides, *flats])
 
@@ -141,10 +140,8 @@ def rug(rng: Rng) -> list[Part]:
     if rng.random() < 0.5:
         edge, (x, y) = float(rng.uniform(0.08, 0.2)), (width / 2, depth / 2)
         field.append(bar((edge - x, x - edge), (edge - y, y - edge), (0.0, thick), 0.001))
-        band += [bar((-x, x), (s * y - edge * (s > 0), s * y + edge * (s < 0)), (0.0, thick)) for s in (-1, 1)]
-        band += [
-            bar((s * x - edge * (s > 0), s * x + edge * (s < 0)), (edge - y, y - edge), (0.0, thick)) for s in (-1, 1)
-        ]
+        band += [bar((-x, x), side, (0.0, thick)) for side in ((-y, edge - y), (y - edge, y))]
+        band += bar_pair((x - edge, x), (edge - y, y - edge), (0.0, thick))
     else:
         cuts = np.r_[0.0, np.sort(rng.uniform(0.05, 0.95, int(rng.integers(4, 9)) * 2)), 1.0] * width - width / 2
         for i, (low, high) in enumerate(pairwise(cuts)):

@@ -3,7 +3,7 @@
 import numpy as np
 
 from multilight.scenes.assets.builtin.parts import METALS, Part, Rng, pick, tiled
-from multilight.scenes.assets.builtin.primitives import Surface, lathe, merge, rounded, sphere, tube
+from multilight.scenes.assets.builtin.primitives import Surface, cylinder, lathe, merge, rounded, sphere, tube
 from multilight.scenes.spec import Material, Rgb
 
 GLASS = Material(name="glow", base_color=(0.9, 0.89, 0.86), roughness=0.35)
@@ -77,11 +77,9 @@ def pendant(rng: Rng) -> list[Part]:
         radius = float(rng.uniform(0.11, 0.19))
         height = 2 * radius
         parts = [(sphere(radius), GLASS)]
-        parts.append(
-            (lathe([(0, 0), (0.03, 0), (0.03, 0.03), (0, 0.03)], segments=24).moved((0, 0, height - 0.005)), metal)
-        )
+        parts.append((cylinder(0.03, 0.03, segments=24).moved((0, 0, height - 0.005)), metal))
     cord = tube([(0, 0, height), (0, 0, height + drop / 2), (0, 0, height + drop - 0.02)], 0.003, segments=8)
-    rose = lathe(rounded([(0, 0), (0.05, 0), (0.05, 0.025), (0, 0.025)], 0.004), segments=32)
+    rose = cylinder(0.05, 0.025, 0.004, segments=32)
     parts.append((merge([cord, rose.moved((0, 0, height + drop - 0.025))]), metal))
     return parts
 
