@@ -3,6 +3,7 @@
 import hashlib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.lib.npyio import NpzFile
@@ -12,6 +13,8 @@ from multilight.scenes.arrays import Float32
 from multilight.scenes.files.whole import write_whole
 from multilight.scenes.frozen import Frozen
 from multilight.scenes.spec import Material, Rectangle, Sphere
+
+Real = TypeVar("Real", np.float32, np.float64)
 
 
 @dataclass(frozen=True)
@@ -28,6 +31,10 @@ class MeshPart:
     normals: Float32
     uv: Float32
     material: Material
+
+    def triangles(self) -> Float32:
+        """Return the corners of its faces, (F, 3, 3) float32, metres."""
+        return self.vertices[self.faces]
 
 
 @dataclass(frozen=True)
@@ -53,6 +60,19 @@ class Mesh:
             for array in (part.vertices, part.faces, part.normals, part.uv):
                 digest.update(np.ascontiguousarray(array).tobytes())
         return digest.hexdigest()
+
+
+def triangle_crosses(triangles: NDArray[Real]) -> NDArray[Real]:
+    """Return the cross products (F, 3) of two edges of triangles (F, 3, 3): along their normals, twice as long as their
+    areas [m²].
+    """
+    a, b, c = np.moveaxis(triangles, 1, 0)
+    return np.asarray(np.cross(b - a, c - a))
+
+
+def triangle_areas(triangles: NDArray[Real]) -> NDArray[Real]:
+    """Return the areas (F,) of triangles (F, 3, 3) [m²]."""
+    return np.asarray(np.linalg.norm(triangle_crosses(triangles), axis=1) / 2)
 
 
 def sphere_part(shape: Sphere, material: Material) -> MeshPart:

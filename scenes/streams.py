@@ -1,9 +1,17 @@
-"""Independent random streams: every draw is keyed by (dataset seed, scene index, attempt, stage)."""
+"""Independent random streams: every draw is keyed by (dataset seed, scene index, attempt, stage); and common draws."""
 
 import zlib
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Generic, Self, TypeVar, cast
 
 import numpy as np
+from pydantic import ConfigDict, model_validator
+
+from multilight.scenes.frozen import Frozen
+
+K = TypeVar("K")
+"""What is drawn."""
 
 
 @dataclass(frozen=True)
@@ -21,3 +29,48 @@ class Streams:
         """Return a fresh generator for a stage such as `placement` or `placement/3`."""
         key = zlib.crc32(stage.encode())
         return np.random.Generator(np.random.PCG64(np.random.SeedSequence([self.seed, self.scene, self.attempt, key])))
+
+
+def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    """Draw between two positive numbers, evenly in their logarithm."""
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
+def weighted_pick(rng: np.random.Generator, weights: Mapping[K, float]) -> K:
+    """Draw a key with a probability in proportion to its weight."""
+    heights = np.array(list(weights.values()))
+    return list(weights)[int(rng.choice(len(heights), p=heights / heights.sum()))]
+
+
+def pick_at(place: float, weights: Mapping[K, float]) -> K:
+    """Return the key on which `place` in [0, 1) falls when the weights are laid end to end."""
+    rest = place * sum(weights.values())
+    for key, weight in weights.items():
+        if rest < weight:
+            return key
+        rest -= weight
+    return next(key for key, weight in reversed(list(weights.items())) if weight > 0)
+
+
+class Weights(Frozen, Generic[K]):
+    """How often each of several kinds comes, relative to the others: a field each, not all of them 0."""
+
+    model_config = ConfigDict(use_attribute_docstrings=True)
+
+    @model_validator(mode="after")
+    def _some_weight(self) -> Self:
+        if not sum(self.weights().values()) > 0:
+            raise ValueError(f"at least one of {', '.join(type(self).model_fields)} needs a share above 0")
+        return self
+
+    def weights(self) -> dict[K, float]:
+        """Return the weight of each kind."""
+        return cast(dict[K, float], self.model_dump())
+
+    def draw(self, rng: np.random.Generator) -> K:
+        """Draw a kind."""
+        return weighted_pick(rng, self.weights())
+
+    def at(self, place: float) -> K:
+        """Return the kind at `place` in [0, 1) of the whole."""
+        return pick_at(place, self.weights())

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multilight.datagen.errors import UserError
 from multilight.datagen.storage.packed import PackedView
@@ -21,7 +20,7 @@ from multilight.model.data.settings import SampleSettings
 from multilight.scenes.appearance import is_mirror, material_class
 from multilight.scenes.arrays import Float32, Mask
 from multilight.scenes.assets.splits import Split
-from multilight.scenes.cameras.pinhole import matrix4
+from multilight.scenes.cameras.pinhole import camera_of
 from multilight.scenes.colour import luminance
 from multilight.scenes.spec import Camera
 
@@ -181,9 +180,3 @@ def light_shares(views: list[PackedView], gains: Float32) -> dict[str, float]:
     layers = [view.variant("all").mean(axis=(1, 2), dtype=np.float64) for view in views]
     found = luminance(np.mean(layers, axis=0) * gains)
     return dict(zip(views[0].lights, (found / max(found.sum(), 1e-12)).tolist(), strict=True))
-
-
-def camera_of(intrinsics: NDArray[np.floating], c2w: NDArray[np.floating], size: tuple[int, ...]) -> Camera:
-    """Return the camera of K (3, 3) in pixels, c2w (4, 4) with OpenGL axes, and a picture's (height, width)."""
-    (fx, _, cx), (_, fy, cy), _ = np.asarray(intrinsics, np.float64)
-    return Camera(width=size[1], height=size[0], fx=fx, fy=fy, cx=cx, cy=cy, c2w=matrix4(c2w))

@@ -11,8 +11,8 @@ from torch import Tensor
 from multilight.datagen.errors import UserError
 from multilight.model.configs.stage3d import SceneTrainingConfig
 from multilight.model.data import MultiLightDataset, SampleSettings
-from multilight.model.evaluation.cases import camera_of
 from multilight.model.gaussians.splat_scene import SplatScene, splat_scene
+from multilight.scenes.cameras.pinhole import camera_of
 
 ENDLESS = 1 << 40  # samples; the dataset's order is a pure function of the sample's number
 

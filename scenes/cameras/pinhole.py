@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from multilight.scenes.arrays import Float64
-from multilight.scenes.frozen import Matrix4
+from multilight.scenes.poses import matrix4
 from multilight.scenes.spec import Camera
 
 SENSOR_MM = 36.0
@@ -38,14 +38,6 @@ def look_at(eye: ArrayLike, target: ArrayLike, up: Sequence[float] = (0.0, 0.0, 
     c2w = np.eye(4)
     c2w[:3] = np.stack([right, np.cross(backward, right), backward, eye], axis=1)
     return c2w
-
-
-def matrix4(matrix: ArrayLike) -> Matrix4:
-    """Turn a 4x4 array into the nested tuples that specifications hold."""
-    rows = np.asarray(matrix, np.float64)
-    if rows.shape != (4, 4):
-        raise ValueError(f"expected a 4x4 matrix, got shape {rows.shape}")
-    return tuple(tuple(float(x) for x in row) for row in rows)  # type: ignore[return-value]
 
 
 def camera_from_fov(c2w: ArrayLike, *, width: int, height: int, fov: float) -> Camera:
@@ -91,6 +83,12 @@ def circle_of_confusion(camera: Camera, z_depth: ArrayLike) -> Float64:
     """
     depth = np.asarray(z_depth, np.float64)
     return np.asarray(2.0 * camera.aperture_radius * camera.fx * np.abs(1.0 / depth - 1.0 / camera.focus_distance))
+
+
+def camera_of(intrinsics: ArrayLike, c2w: ArrayLike, size: Sequence[int]) -> Camera:
+    """Return the camera of K (3, 3) in pixels, c2w (4, 4) with OpenGL axes, and a picture's (height, width)."""
+    (fx, _, cx), (_, fy, cy), _ = np.asarray(intrinsics, np.float64)
+    return Camera(width=size[1], height=size[0], fx=fx, fy=fy, cx=cx, cy=cy, c2w=matrix4(c2w))
 
 
 def opencv_from_opengl(c2w: ArrayLike) -> Float64:
