@@ -10,9 +10,10 @@ from itertools import pairwise
 import numpy as np
 
 from multilight.scenes.assets.builtin.joinery import WINDOWS, door, painted, window
-from multilight.scenes.assets.builtin.parts import METALS, Part, Rng, pick, tiled
+from multilight.scenes.assets.builtin.parts import METALS, PAPER, Part, Rng, tiled
 from multilight.scenes.assets.builtin.primitives import Surface, bar, bar_pair, from_grid, merge, prism, rotation, tube
 from multilight.scenes.spec import Material, Rgb
+from multilight.scenes.streams import pick
 
 CURTAIN_HEIGHT = 2.38
 _CLOTHS: tuple[Rgb, ...] = (
@@ -130,7 +131,7 @@ def rug(rng: Rng) -> list[Part]:
     width = float(rng.uniform(1.1, 2.6))
     depth, thick = width * float(rng.uniform(0.6, 0.75)), 0.008
     first, second = pick(rng, _CLOTHS), pick(rng, _CLOTHS)
-    weave = tiled(("weave-basket", "weave-linen-natural")[int(rng.integers(2))], 0.3)
+    weave = tiled(pick(rng, ("weave-basket", "weave-linen-natural")), 0.3)
     cloth = [
         Material(name=n, base_color=c, base_color_texture=weave, roughness=0.95)
         for n, c in (("field", first), ("band", second))
@@ -167,7 +168,6 @@ def books(rng: Rng) -> list[Part]:
         )
         x += wide + 0.0008
         front = float(rng.uniform(0.0, 0.012))
-    paper = Material(name="paper", base_color=(0.78, 0.72, 0.60), roughness=0.9)
     bindings = [
         (
             merge(surfaces),
@@ -175,7 +175,7 @@ def books(rng: Rng) -> list[Part]:
         )
         for ink, surfaces in sorted(covers.items())
     ]
-    return [*bindings, (merge(pages), paper)]
+    return [*bindings, (merge(pages), PAPER)]
 
 
 def wall_shelf(rng: Rng) -> list[Part]:

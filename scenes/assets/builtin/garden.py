@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from multilight.scenes.assets.builtin.parts import PAINTS, Part, Rng, paint, patterned, pick
+from multilight.scenes.assets.builtin.parts import PAINTS, Part, Rng, paint, patterned
 from multilight.scenes.assets.builtin.primitives import (
     Surface,
     lathe,
@@ -17,6 +17,7 @@ from multilight.scenes.assets.builtin.primitives import (
 )
 from multilight.scenes.assets.builtin.tableware import beaker, vessel
 from multilight.scenes.spec import Material, Rgb
+from multilight.scenes.streams import pick
 
 _SOIL = Material(name="soil", base_color=(0.06, 0.04, 0.028), roughness=0.95)
 _CLAYS: tuple[Rgb, ...] = ((0.50, 0.20, 0.10), (0.42, 0.24, 0.15), (0.55, 0.50, 0.44), (0.10, 0.10, 0.11))
@@ -28,8 +29,7 @@ def timber(rng: Rng) -> Material:
     """Draw weathered, oiled or painted outdoor wood."""
     if rng.random() < 0.3:
         return paint(rng, "timber")
-    wood = ("wood-ash", "wood-oak", "wood-pine", "wood-cherry")[int(rng.integers(4))]
-    return patterned("timber", wood, 0.6, 0.68)
+    return patterned("timber", pick(rng, ("wood-ash", "wood-oak", "wood-pine", "wood-cherry")), 0.6, 0.68)
 
 
 def zinc(rng: Rng) -> Material:

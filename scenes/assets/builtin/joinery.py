@@ -6,9 +6,10 @@ They face -Y and reach into the wall: their plane of y = 0 is the wall's inner f
 
 import numpy as np
 
-from multilight.scenes.assets.builtin.parts import METALS, Part, Rng, pick, tiled
+from multilight.scenes.assets.builtin.parts import METALS, Part, Rng, tiled
 from multilight.scenes.assets.builtin.primitives import Surface, bar, bar_pair, cylinder, merge, rotation, tube
 from multilight.scenes.spec import Material, Rgb
+from multilight.scenes.streams import pick
 
 CASING = 0.07
 """Width [m] of the boards round an opening; a window's sill reaches `EAR` to each side instead."""
@@ -39,8 +40,7 @@ _PAINTS: tuple[Rgb, ...] = (
 def painted(rng: Rng, name: str) -> Material:
     """Draw the paint or the wood of joinery."""
     if rng.random() < 0.3:
-        wood = ("wood-oak", "wood-walnut", "wood-pine")[int(rng.integers(3))]
-        texture = tiled(wood, 0.8)
+        texture = tiled(pick(rng, ("wood-oak", "wood-walnut", "wood-pine")), 0.8)
         return Material(name=name, base_color=(1, 1, 1), base_color_texture=texture, roughness=0.45, coat=0.2)
     return Material(name=name, base_color=pick(rng, _PAINTS), roughness=float(rng.uniform(0.25, 0.5)))
 

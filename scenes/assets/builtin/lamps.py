@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from multilight.scenes.assets.builtin.parts import CLEAR_TINTS, METALS, Part, Rng, ceramic, metal, patterned, pick
+from multilight.scenes.assets.builtin.parts import CLEAR_TINTS, METALS, Part, Rng, ceramic, metal, patterned
 from multilight.scenes.assets.builtin.primitives import (
     circle,
     cylinder,
@@ -17,6 +17,7 @@ from multilight.scenes.assets.builtin.primitives import (
 )
 from multilight.scenes.assets.builtin.tableware import beaker
 from multilight.scenes.spec import Material, Rgb
+from multilight.scenes.streams import pick
 
 GLOW = Material(name="glow", base_color=(0.92, 0.90, 0.86), roughness=0.4)
 _PLASTICS: tuple[Rgb, ...] = ((0.8, 0.79, 0.76), (0.03, 0.03, 0.035), (0.35, 0.36, 0.38), (0.55, 0.16, 0.12))
@@ -48,7 +49,7 @@ def bulb(rng: Rng) -> list[Part]:
     shade = lathe(np.concatenate([[(0, 0.026), (neck, 0.026), (neck, 0.031), (neck * 1.25, 0.042)], globe]))
     thread = [(0.0128 + 0.0011 * (i % 2), 0.0075 + 0.0022 * i) for i in range(9)]
     profile = [(0, 0.0), (0.005, 0.0), (0.0065, 0.003), (0.0125, 0.006), *thread, (0.014, 0.0265), (0.014, 0.029)]
-    brass = Material(name="screw", base_color=METALS[int(rng.integers(4))], metallic=1.0, roughness=0.3)
+    brass = Material(name="screw", base_color=pick(rng, METALS), metallic=1.0, roughness=0.3)
     return [(shade, GLOW), (lathe(rounded(profile, 0.0006, steps=3)), brass)]
 
 
@@ -89,7 +90,7 @@ def lamp(rng: Rng) -> list[Part]:
     wall = np.linspace((low, 0.55 * h), (high, h), 12)
     shade = lathe(np.concatenate([wall, (wall - [0.002, 0.0])[::-1], wall[:1]]), segments=96)
     spokes = [tube([(0, 0, 0.79 * h), (x, y, 0.79 * h)], 0.0015, segments=8) for x, y in _spokes(rng, low, high)]
-    return [(shade, GLOW), (foot, (ceramic, metal)[int(rng.integers(2))](rng)), (merge(spokes), metal(rng))]
+    return [(shade, GLOW), (foot, pick(rng, (ceramic, metal))(rng)), (merge(spokes), metal(rng))]
 
 
 def _spokes(rng: Rng, low: float, high: float) -> list[tuple[float, float]]:

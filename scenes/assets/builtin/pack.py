@@ -1,39 +1,35 @@
 """The pack `builtin`: what needs no download. Objects and tables by formula, textures, bpy's own HDRIs."""
 
-import zlib
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from PIL import Image
 from pydantic import TypeAdapter
 
-from multilight.scenes.assets import derived_maps as derived
-from multilight.scenes.assets.builtin import backdrops as backdrop
+from multilight.scenes import numbers, streams
+from multilight.scenes.assets import derived_maps
 from multilight.scenes.assets.builtin import (
+    backdrops,
     furnishings,
     garden,
     lamps,
     luminaires,
-    parts,
-    primitives,
+    plates,
     signs,
+    skies,
     tables,
     tableware,
     toys,
 )
-from multilight.scenes.assets.builtin import joinery as fittings
-from multilight.scenes.assets.builtin import plates as receivers
-from multilight.scenes.assets.builtin import skies as sky
 from multilight.scenes.assets.builtin.parts import Part, Rng, to_mesh
-from multilight.scenes.assets.builtin.textures import gobos, grounds, patterns, screens
-from multilight.scenes.assets.builtin.textures import surfaces as textures
+from multilight.scenes.assets.builtin.textures import gobos, screens, surfaces
 from multilight.scenes.assets.cache import is_sound, kept, sources_key, write_json, write_once
 from multilight.scenes.assets.environments import bpy_environment_path, bpy_environments
 from multilight.scenes.assets.info import AssetError, AssetInfo, AssetRole
 from multilight.scenes.meshes import Mesh
+from multilight.scenes.streams import generator_of
 
 Recipe = Callable[[Rng], list[Part]]
 
@@ -87,13 +83,13 @@ SURROUNDINGS: dict[str, tuple[Recipe, int]] = {
     "bench": (garden.bench, 3),
     "garden-chair": (garden.garden_chair, 3),
     "planter": (garden.planter, 3),
-    "plinth": (receivers.plinth, 12),
-    "slab": (receivers.slab, 6),
-    "standing-mirror": (receivers.standing_mirror, 4),
-    "sweep": (backdrop.seamless_paper, 1),
-    "sweep-roll": (backdrop.paper_roll, 1),
-    "sweep-table": (backdrop.table_sweep, 2),
-    "tray": (receivers.tray, 3),
+    "plinth": (plates.plinth, 12),
+    "slab": (plates.slab, 6),
+    "standing-mirror": (plates.standing_mirror, 4),
+    "sweep": (backdrops.seamless_paper, 1),
+    "sweep-roll": (backdrops.paper_roll, 1),
+    "sweep-table": (backdrops.table_sweep, 2),
+    "tray": (plates.tray, 3),
     **furnishings.FITTINGS,
     **luminaires.LUMINAIRES,
 }
@@ -129,43 +125,45 @@ _MODELS = TypeAdapter(list[AssetInfo])
 LICENCE, CREATOR = "CC0-1.0", "DTC-MultiLight builder"
 
 
+MODELS = OBJECTS | TABLES | SURROUNDINGS
+
+
 def builtin_mesh(name: str) -> Mesh:
     """Make the model of a name such as `mug-02`, always the same."""
-    kind, _, _ = name.rpartition("-")
-    recipe, _ = (OBJECTS | TABLES | SURROUNDINGS)[kind]
-    return to_mesh(recipe(np.random.Generator(np.random.PCG64(zlib.crc32(name.encode())))))
+    recipe, _ = MODELS[name.rpartition("-")[0]]
+    return to_mesh(recipe(generator_of(name)))
 
 
 def _read_index(path: Path) -> list[AssetInfo]:
     """Read the list of models back; raises `ValueError` where it is not that of these."""
     models = _MODELS.validate_json(path.read_bytes())
-    every = [f"{kind}-{n:02d}" for kind, (_, m) in (OBJECTS | TABLES | SURROUNDINGS).items() for n in range(1, m + 1)]
+    every = [f"{kind}-{n:02d}" for kind, (_, count) in MODELS.items() for n in range(1, count + 1)]
     if [model.id for model in models] != [f"builtin/{name}" for name in every]:
         raise ValueError("it does not list the built-in models")
     return models
 
 
-def _model_infos(kinds: dict[str, tuple[Recipe, int]], role: AssetRole) -> list[AssetInfo]:
-    result = []
-    for kind, (_, count) in kinds.items():
-        for variant in range(1, count + 1):
-            name = f"{kind}-{variant:02d}"
-            low, high = builtin_mesh(name).bounds().astype(float)
-            x, y, z = (round(float(v), 5) for v in high - low)
-            result.append(
-                AssetInfo(
-                    id=f"builtin/{name}",
-                    pack="builtin",
-                    role=role,
-                    name=f"{kind.replace('-', ' ')} {variant}",
-                    category=_category(kind, role),
-                    licence=LICENCE,
-                    creator=CREATOR,
-                    size=(x, y, z),
-                    emissive_part="glow" if kind in luminaires.LUMINAIRES else LAMPS.get(kind),
-                )
-            )
-    return result
+def _info(name: str, role: AssetRole, category: str, **about: Any) -> AssetInfo:
+    """Describe an asset of this pack; called after its `name`, unless `title` says how."""
+    title = about.pop("title", name.replace("-", " "))
+    return AssetInfo(
+        id=f"builtin/{name}", pack="builtin", role=role, name=title, category=category, licence=LICENCE,
+        creator=CREATOR, **about,
+    )  # fmt: skip
+
+
+def _model_info(kind: str, variant: int, role: AssetRole) -> AssetInfo:
+    """Describe a model, which is made and measured for it."""
+    name = f"{kind}-{variant:02d}"
+    low, high = builtin_mesh(name).bounds().astype(float)
+    return _info(
+        name,
+        role,
+        _category(kind, role),
+        title=f"{kind.replace('-', ' ')} {variant}",
+        size=tuple(round(float(v), 5) for v in high - low),
+        emissive_part="glow" if kind in luminaires.LUMINAIRES else LAMPS.get(kind),
+    )
 
 
 def _category(kind: str, role: AssetRole) -> str:
@@ -177,7 +175,15 @@ def _category(kind: str, role: AssetRole) -> str:
 
 def builtin_models() -> list[AssetInfo]:
     """List the built-in objects and tables; makes every mesh once to measure it (about a second)."""
-    return _model_infos(OBJECTS, "object") + _model_infos(TABLES, "table") + _model_infos(SURROUNDINGS, "surrounding")
+    kinds: dict[AssetRole, dict[str, tuple[Recipe, int]]] = {
+        "object": OBJECTS, "table": TABLES, "surrounding": SURROUNDINGS,
+    }  # fmt: skip
+    return [
+        _model_info(kind, variant, role)
+        for role, recipes in kinds.items()
+        for kind, (_, count) in recipes.items()
+        for variant in range(1, count + 1)
+    ]
 
 
 class BuiltinPack:
@@ -187,19 +193,20 @@ class BuiltinPack:
 
     def __init__(self, cache: Path) -> None:
         self._cache = cache
-        made_of = (primitives, parts, fittings, backdrop)
-        modules = (*made_of, tableware, toys, tables, lamps, signs, garden, receivers, furnishings, luminaires)
-        self._model_key = sources_key(*(str(module.__file__) for module in modules), __file__)
-        self._texture_key = sources_key(
-            textures.__file__, patterns.__file__, grounds.__file__, screens.__file__, derived.__file__
-        )
-        self._gobo_key, self._sky_key = sources_key(gobos.__file__), sources_key(sky.__file__)
+        here = Path(__file__).parent
+        shared = (str(streams.__file__), str(numbers.__file__))
+        self._model_key = sources_key(*sorted(map(str, here.glob("*.py"))), *shared)
+        textures = sorted(map(str, (here / "textures").glob("*.py")))
+        self._texture_key = sources_key(*textures, str(derived_maps.__file__), *shared)
+        self._sky_key = sources_key(str(skies.__file__))
 
     def infos(self) -> list[AssetInfo]:
         """List models, textures, skies and bpy's HDRIs; models are measured once and remembered in the cache."""
         index = self._cache / "index" / f"builtin-{self._model_key}.json"
         models = kept(index, _read_index, lambda path: write_json(path, [asdict(info) for info in builtin_models()]))
-        return models + _texture_infos() + sky.sky_infos(licence=LICENCE, creator=CREATOR) + bpy_environments()
+        # Each sky is a place of its own: splits hold places apart.
+        above = [_info(name, "environment", "sky", place=name) for name in skies.SKIES]
+        return models + _texture_infos() + above + bpy_environments()
 
     def mesh_key(self, name: str) -> str:
         """Hash the recipes' source."""
@@ -211,51 +218,37 @@ class BuiltinPack:
 
     def texture(self, name: str) -> Path:
         """Return a texture's PNG, with `-normal` or `-roughness` that map's; all are made on first use."""
+        path = self._cache / "textures" / "builtin" / self._texture_key / f"{name}.png"
         if name in gobos.GOBOS:
-            gobo = self._cache / "textures" / "builtin" / self._gobo_key / f"{name}.png"
-            return write_once(gobo, lambda path: Image.fromarray(gobos.make_gobo(name)).save(path))
-        base = name.removesuffix("-normal").removesuffix("-roughness")
-        if name not in screens.SCREENS and base not in textures.TEXTURES:
-            raise AssetError(f"no texture 'builtin/{name}'; there are {', '.join(sorted(textures.TEXTURES))}")
-        folder = self._cache / "textures" / "builtin" / self._texture_key
-        path = folder / f"{name}.png"
+            return write_once(path, lambda file: Image.fromarray(gobos.make_gobo(name)).save(file))
         if name in screens.SCREENS:
             return write_once(path, screens.make_screen(name).save)
+        base = name.removesuffix("-normal").removesuffix("-roughness")
+        if base not in surfaces.TEXTURES:
+            raise AssetError(f"no texture 'builtin/{name}'; there are {', '.join(sorted(surfaces.TEXTURES))}")
         if not is_sound(path):
-            for suffix, pixels in zip(("", "-normal", "-roughness"), textures.make_texture(base), strict=True):
-                write_once(folder / f"{base}{suffix}.png", Image.fromarray(pixels).save)
+            for suffix, pixels in zip(("", "-normal", "-roughness"), surfaces.make_texture(base), strict=True):
+                write_once(path.with_name(f"{base}{suffix}.png"), Image.fromarray(pixels).save)
         return path
 
     def environment(self, name: str) -> Path:
         """Return a sky, made on first use, or one of bpy's own EXR files."""
-        if name in sky.SKIES:
-            return sky.sky_path(name, self._cache / "environments" / "builtin" / self._sky_key)
+        if name in skies.SKIES:
+            return skies.sky_path(name, self._cache / "environments" / "builtin" / self._sky_key)
         return bpy_environment_path(name, self._cache)
 
 
 def _texture_infos() -> list[AssetInfo]:
-    surfaces = [
-        _texture_info(
+    measured = [
+        _info(
             name,
+            "texture",
             recipe.category,
             size=(recipe.metres, recipe.metres, 0.0),
             normal_map=f"builtin/{name}-normal",
             roughness_map=f"builtin/{name}-roughness",
         )
-        for name, recipe in textures.TEXTURES.items()
+        for name, recipe in surfaces.TEXTURES.items()
     ]
     flat = {name: screen.category for name, screen in screens.SCREENS.items()} | dict.fromkeys(gobos.GOBOS, "gobo")
-    return surfaces + [_texture_info(name, category) for name, category in flat.items()]
-
-
-def _texture_info(name: str, category: str, **about: Any) -> AssetInfo:
-    return AssetInfo(
-        id=f"builtin/{name}",
-        pack="builtin",
-        role="texture",
-        name=name.replace("-", " "),
-        category=category,
-        licence=LICENCE,
-        creator=CREATOR,
-        **about,
-    )
+    return measured + [_info(name, "texture", category) for name, category in flat.items()]

@@ -6,6 +6,7 @@ from multilight.scenes.assets.builtin.primitives import Surface
 from multilight.scenes.assets.derived_maps import MEAN_ROUGHNESS
 from multilight.scenes.meshes import Mesh, MeshPart
 from multilight.scenes.spec import Material, Rgb, Texture
+from multilight.scenes.streams import pick
 
 Rng = np.random.Generator
 Part = tuple[Surface, Material]
@@ -31,12 +32,8 @@ PAINTS: tuple[Rgb, ...] = (
 METALS: tuple[Rgb, ...] = ((0.91, 0.92, 0.92), (0.95, 0.64, 0.54), (0.89, 0.72, 0.33), (0.56, 0.57, 0.58))
 CLEAR_TINTS: tuple[Rgb, ...] = ((0.98, 0.99, 0.99), (0.85, 0.95, 0.90), (0.90, 0.95, 0.99), (0.97, 0.93, 0.88))
 BOTTLE_TINTS: tuple[Rgb, ...] = ((0.98, 0.99, 0.99), (0.45, 0.78, 0.52), (0.82, 0.52, 0.20), (0.55, 0.74, 0.90))
+PAPER = Material(name="paper", base_color=(0.78, 0.72, 0.60), roughness=0.9)
 CERAMIC_TEXTURES = ("ceramic-speckled-cream", "ceramic-speckled-blue", "ceramic-speckled-stone")
-
-
-def pick(rng: Rng, colours: tuple[Rgb, ...]) -> Rgb:
-    """Draw one of the colours."""
-    return colours[int(rng.integers(len(colours)))]
 
 
 def tiled(name: str, size: float) -> Texture:
@@ -62,7 +59,7 @@ def ceramic(rng: Rng) -> Material:
     coat = float(rng.uniform(0.4, 1.0))
     roughness = float(rng.uniform(0.25, 0.55))
     if rng.random() < 0.5:
-        return patterned("ceramic", CERAMIC_TEXTURES[int(rng.integers(3))], 0.1, roughness, coat=coat)
+        return patterned("ceramic", pick(rng, CERAMIC_TEXTURES), 0.1, roughness, coat=coat)
     return Material(name="ceramic", base_color=pick(rng, GLAZES), roughness=roughness, coat=coat)
 
 

@@ -12,6 +12,7 @@ from multilight.scenes.assets.builtin.primitives import (
     rounded_box,
 )
 from multilight.scenes.spec import Material
+from multilight.scenes.streams import pick
 
 _PLAIN = Material(name="plate", base_color=(0.7, 0.7, 0.7), roughness=0.3)
 MIRROR = Material(name="mirror", base_color=(0.92, 0.93, 0.93), metallic=1.0, roughness=0.0)
@@ -64,7 +65,7 @@ def standing_mirror(rng: Rng) -> list[Part]:
     back = rounded_box((w - 2 * frame, 0.004, h - 2 * frame), 0.0005).moved((0, 0.006, frame))
     strut = rounded_box((0.04, 0.012, 0.72 * h), 0.002).moved(rotation=rotation("x", 0.38)).moved((0, 0.40 * h, 0))
     timber = patterned("frame", "wood-walnut", 0.4, 0.5)
-    finish = (timber, metal(rng), paint(rng, "frame"))[int(rng.integers(3))]
+    finish = pick(rng, (timber, metal(rng), paint(rng, "frame")))
     leaning = merge([part.moved(rotation=tilt) for part in (*sides, back)])
     # Leaning, frame and strut each stand on an edge: both on the ground.
     lift, strut_lift = (-float(part.vertices[:, 2].min()) for part in (leaning, strut))

@@ -14,6 +14,7 @@ from multilight.scenes.assets.builtin.primitives import (
     tube,
 )
 from multilight.scenes.spec import Material
+from multilight.scenes.streams import pick
 
 TOPS = (
     ("wood-oak", 0.8, 0.45, 0.25),
@@ -29,15 +30,14 @@ TOPS = (
 
 def top_material(rng: Rng) -> Material:
     """Draw what a table top is made of."""
-    name, size, roughness, coat = TOPS[int(rng.integers(len(TOPS)))]
+    name, size, roughness, coat = pick(rng, TOPS)
     return patterned("top", name, size, roughness, coat=coat)
 
 
 def leg_material(rng: Rng) -> Material:
     """Draw what the legs are made of."""
-    wood = ("wood-oak", "wood-walnut", "wood-pine")[int(rng.integers(3))]
-    timber = patterned("legs", wood, 0.5, 0.5, coat=0.2)
-    other = (metal(rng), paint(rng))[int(rng.integers(2))].model_copy(update={"name": "legs"})
+    timber = patterned("legs", pick(rng, ("wood-oak", "wood-walnut", "wood-pine")), 0.5, 0.5, coat=0.2)
+    other = pick(rng, (metal(rng), paint(rng))).model_copy(update={"name": "legs"})
     return timber if rng.random() < 0.6 else other
 
 

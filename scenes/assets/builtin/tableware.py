@@ -14,10 +14,10 @@ from multilight.scenes.assets.builtin.parts import (
     metal,
     paint,
     patterned,
-    pick,
 )
 from multilight.scenes.assets.builtin.primitives import lathe, merge, rounded, sphere, tube
 from multilight.scenes.spec import Material, Rgb
+from multilight.scenes.streams import pick
 
 
 def vessel(outer: Float64, wall: float, *, lip: float = 0.5) -> Float64:
@@ -163,7 +163,7 @@ def pawn(rng: Rng) -> list[Part]:
 def ball(rng: Rng) -> list[Part]:
     """Make a plain ball 4 to 12 cm wide."""
     makers: tuple[Callable[[Rng], Material], ...] = (paint, metal, ceramic, glass)
-    return [(sphere(float(rng.uniform(0.02, 0.06))), makers[int(rng.integers(4))](rng))]
+    return [(sphere(float(rng.uniform(0.02, 0.06))), pick(rng, makers)(rng))]
 
 
 def fruit(rng: Rng) -> list[Part]:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from multilight.scenes.assets.builtin.parts import PAINTS, Part, Rng, ceramic, metal, paint, patterned, pick, tiled
+from multilight.scenes.assets.builtin.parts import PAINTS, PAPER, Part, Rng, ceramic, metal, paint, patterned, tiled
 from multilight.scenes.assets.builtin.primitives import (
     circle,
     lathe,
@@ -14,8 +14,7 @@ from multilight.scenes.assets.builtin.primitives import (
     torus,
 )
 from multilight.scenes.spec import Material
-
-PAPER = Material(name="paper", base_color=(0.78, 0.72, 0.60), roughness=0.9)
+from multilight.scenes.streams import pick
 
 
 def book(rng: Rng) -> list[Part]:
@@ -40,9 +39,9 @@ def book(rng: Rng) -> list[Part]:
 def box(rng: Rng) -> list[Part]:
     """Make a wooden, painted or metal box with rounded edges."""
     size = rng.uniform((0.06, 0.06, 0.03), (0.20, 0.14, 0.12))
-    wood = ("wood-oak", "wood-walnut", "wood-cherry")[int(rng.integers(3))]
-    materials = (patterned("wood", wood, 0.4, 0.45, coat=0.3), paint(rng), metal(rng))
-    return [(rounded_box(size, float(rng.uniform(0.002, 0.012))), materials[int(rng.integers(3))])]
+    timber = patterned("wood", pick(rng, ("wood-oak", "wood-walnut", "wood-cherry")), 0.4, 0.45, coat=0.3)
+    materials = (timber, paint(rng), metal(rng))
+    return [(rounded_box(size, float(rng.uniform(0.002, 0.012))), pick(rng, materials))]
 
 
 def block(rng: Rng) -> list[Part]:
@@ -100,4 +99,4 @@ def ring(rng: Rng) -> list[Part]:
     """Make a lying ring, 4 to 14 cm wide."""
     major = float(rng.uniform(0.02, 0.06))
     makers = (metal, paint, ceramic)
-    return [(torus(major, major * float(rng.uniform(0.15, 0.35)), segments=96), makers[int(rng.integers(3))](rng))]
+    return [(torus(major, major * float(rng.uniform(0.15, 0.35)), segments=96), pick(rng, makers)(rng))]
