@@ -1,5 +1,6 @@
 """Where things can stand: the largest free, flat, upward-facing region of a mesh."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -152,6 +153,15 @@ def stacked_faces(mesh: Mesh) -> Int64:
     """Stack all parts' faces, (F, 3) int64, as indices into `mesh.vertices()`."""
     starts = np.cumsum([0] + [len(part.vertices) for part in mesh.parts[:-1]])
     return np.concatenate([part.faces.astype(np.int64) + s for part, s in zip(mesh.parts, starts, strict=True)])
+
+
+def stands(vertices: Float64, centres: Iterable[Float64], *, contact: float) -> bool:
+    """Tell whether a body (vertices (N, 3)) stands: its centres of mass (3,) lie over what touches the ground.
+
+    That is the convex hull, seen from above, of the vertices within `contact` [m] of the lowest.
+    """
+    carried = convex_polygon(vertices[vertices[:, 2] <= vertices[:, 2].min() + contact, :2])
+    return carried is not None and all(inside_convex(carried, centre[:2]) for centre in centres)
 
 
 def convex_polygon(points: Float64) -> Float64 | None:
