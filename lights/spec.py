@@ -12,6 +12,8 @@ from multilight.scenes.frozen import Frozen, Matrix4, Rgb, Slug, Vector3
 from multilight.scenes.spec import Texture
 
 NonNegative = Annotated[float, Field(ge=0)]
+SUN_ANGLE = 0.00918
+"""Diameter of the sun's disc [rad]: as in July, when it is smallest, and as Blender has it."""
 
 
 class _Light(Frozen):
@@ -43,7 +45,7 @@ class SunLight(_Light):
     direction: Vector3
     """The way the light travels, in world axes (any length but zero)."""
     irradiance: Rgb
-    angle: Annotated[float, Field(ge=0, le=0.5)] = 0.00918
+    angle: Annotated[float, Field(ge=0, le=0.5)] = SUN_ANGLE
 
 
 class PointLight(_Light):

@@ -1,6 +1,7 @@
 """Triangle meshes as backends receive them, and the plain shapes as meshes."""
 
 import hashlib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.lib.npyio import NpzFile
 from numpy.typing import NDArray
 
-from multilight.scenes.arrays import Float32
+from multilight.scenes.arrays import Float32, Int64
 from multilight.scenes.files.whole import write_whole
 from multilight.scenes.frozen import Frozen
 from multilight.scenes.spec import Material, Rectangle, Sphere
@@ -47,6 +48,10 @@ class Mesh:
         """Stack all parts' vertices, (N, 3) float32, metres."""
         return np.concatenate([part.vertices for part in self.parts])
 
+    def part_of_face(self) -> Int64:
+        """Return the part that each face belongs to, all parts' faces stacked, (F,) int64."""
+        return np.repeat(np.arange(len(self.parts)), [len(part.faces) for part in self.parts])
+
     def bounds(self) -> Float32:
         """Return the lowest and the highest corner, (2, 3) float32, metres."""
         points = self.vertices()
@@ -60,6 +65,14 @@ class Mesh:
             for array in (part.vertices, part.faces, part.normals, part.uv):
                 digest.update(np.ascontiguousarray(array).tobytes())
         return digest.hexdigest()
+
+
+def stacked(pieces: Iterable[tuple[NDArray[Real], NDArray[np.integer]]]) -> tuple[NDArray[Real], Int64]:
+    """Join the vertices (V, D) and faces (F, 3) of pieces into one; the faces come as int64."""
+    pieces = list(pieces)
+    starts = np.cumsum([0] + [len(vertices) for vertices, _ in pieces[:-1]])
+    faces = [faces.astype(np.int64) + start for (_, faces), start in zip(pieces, starts, strict=True)]
+    return np.concatenate([vertices for vertices, _ in pieces]), np.concatenate(faces)
 
 
 def triangle_crosses(triangles: NDArray[Real]) -> NDArray[Real]:

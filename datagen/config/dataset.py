@@ -3,7 +3,7 @@
 import difflib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, ValidationError, model_validator
 
@@ -13,6 +13,7 @@ from multilight.scenes.assets.splits import Split, SplitShares, scene_place, sce
 from multilight.scenes.cameras.paths import CameraSettings
 from multilight.scenes.files.limits import read_toml, shown
 from multilight.scenes.frozen import Frozen, UnitFloat
+from multilight.scenes.streams import Weights
 
 Kind = Literal["tabletop", "room", "outdoor", "studio", "custom", "spheres", "imported"]
 RendererName = Literal["mitsuba", "cycles", "analytic"]
@@ -21,10 +22,8 @@ Renderer = Literal["auto", RendererName]
 PIXELS, METRES = {"unit": "px"}, {"unit": "m"}
 
 
-class KindShares(Frozen):
+class KindShares(Weights[Kind]):
     """How often each kind of scene comes in a mixed dataset, relative to the others."""
-
-    model_config = ConfigDict(use_attribute_docstrings=True)
 
     tabletop: UnitFloat = 0.35
     """A still life on a table."""
@@ -34,12 +33,6 @@ class KindShares(Frozen):
     """Open ground under a sky."""
     studio: UnitFloat = 0.15
     """A photographer's studio."""
-
-    @model_validator(mode="after")
-    def _some_share(self) -> "KindShares":
-        if not sum(self.model_dump().values()) > 0:
-            raise ValueError("at least one kind needs a share above 0")
-        return self
 
 
 class DatasetConfig(Frozen):
@@ -132,13 +125,7 @@ class DatasetConfig(Frozen):
             return self.ood_kinds[int(place * len(self.ood_kinds))]
         if self.kind != "mixed":
             return self.kind
-        shares = [(kind, share) for kind in get_args(Kind) if (share := getattr(self.kinds, kind, 0.0)) > 0]
-        rest = place * sum(share for _, share in shares)
-        for kind, share in shares:
-            if rest < share:
-                return kind
-            rest -= share
-        return shares[-1][0]
+        return self.kinds.at(place)
 
 
 def config_keys(model: type[Frozen] = DatasetConfig, prefix: str = "") -> Iterator[str]:

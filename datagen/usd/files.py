@@ -1,13 +1,13 @@
 """The pictures of a stage: copied beside it once each, named by what they hold."""
 
 import hashlib
-import re
 import shutil
 from pathlib import Path
 
 import numpy as np
 
 from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.names import slug
 
 FOLDER = "textures"
 
@@ -38,8 +38,7 @@ class Files:
     def _copied(self, asset: str, source: Path) -> str:
         if asset not in self._made:
             digest = hashlib.sha256(source.read_bytes()).hexdigest()[:8]
-            stem = re.sub(r"[^a-z0-9]+", "-", asset.lower()).strip("-")[:60]
-            name = f"{stem}-{digest}{source.suffix.lower()}"
+            name = f"{slug(asset, '-')[:60]}-{digest}{source.suffix.lower()}"
             target = self._folder / FOLDER / name
             target.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(source, target)

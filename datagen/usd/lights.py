@@ -14,6 +14,7 @@ from multilight.lights.photometry.directions import spot_frame
 from multilight.lights.spec import AreaLight, EmissiveLight, EnvironmentLight, Light, PointLight, SpotLight, SunLight
 from multilight.scenes.assets.formats.usd.names import IMAGE
 from multilight.scenes.frozen import Rgb, Vector3
+from multilight.scenes.poses import pose_of
 
 _TYPES = Sdf.ValueTypeNames
 POINT_RADIUS = 0.001
@@ -127,6 +128,4 @@ def _profile(made: Any, profile: tuple[float, ...], files: Files) -> None:
 
 def _place(made: Any, position: Vector3 | ArrayLike, axes: ArrayLike) -> None:
     """Place a prim by its axes (3, 3), columns in the world; USD's matrices act on rows."""
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = axes, position
-    made.AddTransformOp().Set(Gf.Matrix4d(*pose.T.ravel().tolist()))
+    made.AddTransformOp().Set(Gf.Matrix4d(*pose_of(axes, position).T.ravel().tolist()))

@@ -21,7 +21,7 @@ from multilight.lights.spec import LightRig
 from multilight.scenes.assets.formats.usd.names import OWN, RIG, VARIANTS
 from multilight.scenes.assets.formats.usd.read import open_stage, world_from_stage
 from multilight.scenes.assets.library import AssetLibrary
-from multilight.scenes.cameras.pinhole import matrix4
+from multilight.scenes.poses import matrix4
 from multilight.scenes.spec import Camera, SceneSpec
 
 

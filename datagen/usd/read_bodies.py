@@ -13,7 +13,7 @@ from multilight.scenes.assets.formats.scene_file import Emission, image_digest
 from multilight.scenes.assets.formats.usd.materials import Picture, bound_surface, read_material
 from multilight.scenes.assets.library import AssetError, AssetLibrary
 from multilight.scenes.assets.packs.background import PACK
-from multilight.scenes.cameras.pinhole import matrix4
+from multilight.scenes.poses import matrix4
 from multilight.scenes.spec import Body, Geometry, Material, MeshAsset, Rectangle, Sphere, Texture
 
 

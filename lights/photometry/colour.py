@@ -13,6 +13,7 @@ from multilight.lights.photometry.radiometry import rgb_from_scalar
 from multilight.scenes.arrays import Float64
 from multilight.scenes.colour import srgb_decode
 from multilight.scenes.frozen import Rgb
+from multilight.scenes.numbers import smoothstep
 
 COLDEST, HOTTEST = 1000.0, 25000.0
 """Range of colour temperatures in K: below, Rec.709 shows red only; above, the CIE daylight formula ends."""
@@ -112,8 +113,7 @@ def _temperature_to_xy(kelvin: float) -> tuple[float, float]:
     """Compute `temperature_to_xy` (a blackbody's spectrum takes milliseconds)."""
     colour = _colour()
     t = (kelvin - PLANCKIAN_BELOW) / (DAYLIGHT_ABOVE - PLANCKIAN_BELOW)
-    t = min(max(t, 0.0), 1.0)
-    weight = t * t * (3.0 - 2.0 * t)
+    weight = float(smoothstep(min(max(t, 0.0), 1.0)))
     xy = np.zeros(2)
     if weight < 1.0:
         spectrum = colour.sd_blackbody(kelvin, colour.SpectralShape(360, 780, 1))

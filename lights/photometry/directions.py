@@ -1,4 +1,4 @@
-"""Where lights point: directions from angles, and the one frame of a spot that every renderer projects its gobo in."""
+"""Where lights point: the one frame of a spot that every renderer projects its gobo in."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -7,12 +7,6 @@ from multilight.scenes.arrays import Float64
 
 _STEEP = 1e-6
 """Where the horizontal part of a direction is shorter than this share of it, world up says nothing."""
-
-
-def direction_from(azimuth: float, elevation: float) -> Float64:
-    """Return the unit vector (3,) at an azimuth (counter-clockwise from +X) and an elevation [rad]."""
-    flat = np.cos(elevation)
-    return np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
 
 
 def spot_frame(direction: ArrayLike, roll: float = 0.0) -> Float64:

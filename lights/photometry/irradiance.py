@@ -12,8 +12,11 @@ from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.environments import read_environment
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.colour import luminance
-from multilight.scenes.geometry.rays import SceneRays, body_triangles
-from multilight.scenes.spec import MeshAsset, SceneSpec
+from multilight.scenes.geometry.rays import SceneRays, body_triangles, part_triangles
+from multilight.scenes.meshes import triangle_crosses
+from multilight.scenes.numbers import smoothstep
+from multilight.scenes.poses import apply_pose
+from multilight.scenes.spec import SceneSpec
 
 SKY_ROWS = 32
 """Environment maps are averaged to this many rows before they are integrated."""
@@ -128,7 +131,7 @@ class StillLife:
         mean = 1.0 if light.gobo is None else image_mean(self.library, light.gobo)
         edge = np.cos(light.half_angle)
         t = np.clip((np.cos(angle) - edge) / max((1.0 - edge) * light.blend, 1e-9), 0.0, 1.0)
-        return mean * float(t * t * (3.0 - 2.0 * t))
+        return mean * float(smoothstep(t))
 
     def _sky_irradiance(self, light: EnvironmentLight, meter: Meter) -> float:
         """Sum radiance times cosine over the directions in which nothing but objects stands."""
@@ -148,7 +151,7 @@ class StillLife:
         x, y = (axis.ravel() for axis in np.meshgrid(grid, grid))
         keep = np.hypot(x, y) <= 0.5 if light.shape == "disk" else np.full(x.shape, True)
         flat = np.column_stack([x * light.width, y * light.height, np.zeros(64)])[keep]
-        way = self.foot - (flat @ pose[:3, :3].T + pose[:3, 3])
+        way = self.foot - apply_pose(pose, flat)
         distance = np.linalg.norm(way, axis=1)
         emitted = np.maximum(way @ -pose[:3, 2] / distance, 0.0)
         received = meter(-way[:, 2] / distance)
@@ -157,9 +160,10 @@ class StillLife:
 
     def _glow_irradiance(self, light: EmissiveLight) -> float:
         """Sum over the triangles of the glowing part, as if nothing stood in between."""
-        a, b, c = np.moveaxis(self.glowing_triangles(light), 1, 0)
+        triangles = self.glowing_triangles(light)
+        a, b, c = np.moveaxis(triangles, 1, 0)
         centre = (a + b + c) / 3
-        normal = np.cross(b - a, c - a) / 2
+        normal = triangle_crosses(triangles) / 2
         angle = np.linspace(0.0, 2 * np.pi, 8, endpoint=False)
         ring = np.stack([np.cos(angle), np.sin(angle), np.zeros(8)], axis=-1)
         middle = np.array([*centre.mean(axis=0)[:2], self.foot[2]])
@@ -171,13 +175,7 @@ class StillLife:
 
     def glowing_triangles(self, light: EmissiveLight) -> Float64:
         """Return the triangles (F, 3, 3) of the part that glows, in the world."""
-        body = self.scene.body(light.body)
-        vertices, faces = body_triangles(body, self.library)
-        if isinstance(body.geometry, MeshAsset):
-            sizes = [len(part.faces) for part in self.library.mesh(body.geometry.asset).parts]
-            first = sum(sizes[: light.part])
-            faces = faces[first : first + sizes[light.part]]
-        return vertices[faces]
+        return part_triangles(self.scene.body(light.body), light.part, self.library)
 
 
 def small_map(library: AssetLibrary, environment: str) -> Float64:

@@ -1,7 +1,6 @@
 """The lights of a background scene, as its file has them."""
 
 import math
-import re
 from typing import Any, get_args
 
 import numpy as np
@@ -12,6 +11,7 @@ from multilight.lights.rigs.balance import scaled
 from multilight.lights.rigs.design import RigDesign
 from multilight.lights.rigs.tabletop import LightKind, glow_share, tabletop_rig
 from multilight.lights.spec import (
+    SUN_ANGLE,
     AreaLight,
     EmissiveLight,
     EnvironmentLight,
@@ -24,13 +24,12 @@ from multilight.lights.spec import (
 from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.formats.scene_file import FoundLight
 from multilight.scenes.assets.library import AssetLibrary
-from multilight.scenes.cameras.pinhole import matrix4
 from multilight.scenes.frozen import Rgb, Vector3
+from multilight.scenes.names import free_name
+from multilight.scenes.poses import matrix4
 from multilight.scenes.spec import SceneSpec
 
 PHOTOMETRIC = ("cd", "lx", "nit")
-SUN_ANGLE = 0.00918
-"""Diameter of the sun's disc [rad], for files that give none."""
 MOST_ANGLE = 0.5
 
 MOST = 16
@@ -53,7 +52,8 @@ def custom_rig(rng: np.random.Generator, place: StillLife, design: RigDesign, *,
     glow = glow_share(rng, place)
     if glow is not None and glow.unit:
         strength = float(level.max()) * glow.strength / glow.unit
-        rig.append(scaled(glow.light, strength).model_copy(update={"name": _name("glow", {r.name for r in rig})}))
+        name = free_name("glow", {light.name for light in rig}, otherwise="light")
+        rig.append(scaled(glow.light, strength).model_copy(update={"name": name}))
     return LightRig(lights=tuple(rig))
 
 
@@ -69,7 +69,7 @@ def custom_lights(scene: SceneSpec, library: AssetLibrary) -> tuple[Light, ...]:
     lights = []
     for found in library.background.lights:
         if max(found.amount) > 0:
-            lights.append(light_from_found(found, turn, _name(found.name, names)))
+            lights.append(light_from_found(found, turn, free_name(found.name, names, otherwise="light")))
             names.add(lights[-1].name)
     return tuple(lights)
 
@@ -80,15 +80,6 @@ def _world_from_file(scene: SceneSpec, library: AssetLibrary) -> Float64:
     piece = library.background.pieces[0]
     placed = np.array(scene.body(piece.name).world_from_body)
     return np.asarray(placed @ np.linalg.inv(np.array(piece.world_from_body)))
-
-
-def _name(text: str, taken: set[str]) -> str:
-    plain = re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_")[:30]
-    plain = plain if plain[:1].isalpha() else f"light_{plain}".rstrip("_")
-    name, number = plain, 2
-    while name in taken:
-        name, number = f"{plain}_{number}", number + 1
-    return name
 
 
 def _radiometric(found: FoundLight) -> Rgb:

@@ -3,17 +3,18 @@
 import numpy as np
 
 from multilight.lights.photometry.colour import temperature_to_rgb
-from multilight.lights.photometry.directions import direction_from
 from multilight.lights.photometry.irradiance import StillLife, map_directions, small_map
 from multilight.lights.photometry.radiometry import watts_from_photometric
-from multilight.lights.rigs.lamps import SEEN, Tint, log_uniform, vector
+from multilight.lights.rigs.lamps import SEEN, Tint, vector
 from multilight.lights.spec import EnvironmentLight, SunLight
 from multilight.scenes.assets.builtin.skies import OVERCAST, sky_name, sky_parameters, sun_illuminance
 from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.colour import luminance
+from multilight.scenes.poses import direction_from
+from multilight.scenes.streams import log_uniform
 
 SUN_DIAMETER = 0.0093
-"""The sun's angular diameter [rad]."""
+"""Diameter of the sun's disc [rad], its mean over the year; `lights.spec.SUN_ANGLE` is its smallest."""
 _SKY_UNIT = watts_from_photometric(1000.0)
 """Radiance [W/(m² sr)] of a map's 1 kcd/m²."""
 

@@ -7,12 +7,12 @@ from pydantic import Field
 
 from multilight.scenes.arrays import Float64
 from multilight.scenes.frozen import Frozen
-from multilight.scenes.streams import Streams
+from multilight.scenes.streams import Streams, pick_at
 
 KeyKind = Literal["area", "point", "spot", "sun", "environment"]
 Shaping = Literal["plain", "gobo", "profile"]
 
-COUNTS = (0.06, 0.13, 0.2, 0.2, 0.16, 0.12, 0.08, 0.05)
+COUNTS = {1: 0.06, 2: 0.13, 3: 0.2, 4: 0.2, 5: 0.16, 6: 0.12, 7: 0.08, 8: 0.05}
 """Shares of rigs with 1 to 8 lights."""
 SIZES = (0.001, 1.0)
 """Angular diameters of the key [rad], hard to soft; the sun's is 0.0093."""
@@ -60,7 +60,7 @@ def rig_design(streams: Streams) -> RigDesign:
     # The power keeps candle-light rarer than daylight: half of the keys are above 5100 K.
     warmth = 1e6 / float(MIRED[0] + u[6] ** 2 * (MIRED[1] - MIRED[0]))
     return RigDesign(
-        lights=int(np.searchsorted(np.cumsum(COUNTS)[:-1], u[0], side="right")) + 1,
+        lights=pick_at(float(u[0]), COUNTS),
         key=_key(float(u[1]), size),
         azimuth=_azimuth(float(u[2])),
         elevation=float(np.radians(12.0 + 66.0 * u[3])),
@@ -96,8 +96,7 @@ def _key(u: float, size: float) -> KeyKind:
         "sun": 1.0 if size <= 0.06 else 0.0,
         "environment": 0.6,
     }
-    steps = np.cumsum(list(weights.values())) / sum(weights.values())
-    return list(weights)[int(np.searchsorted(steps[:-1], u, side="right"))]
+    return pick_at(u, weights)
 
 
 def _azimuth(u: float) -> float:

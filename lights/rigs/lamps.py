@@ -6,7 +6,6 @@ from typing import Literal
 import numpy as np
 
 from multilight.lights.photometry.colour import gel_rgb, random_gel, temperature_to_rgb
-from multilight.lights.photometry.directions import direction_from
 from multilight.lights.photometry.ies import luminaire, profile_flux
 from multilight.lights.photometry.irradiance import StillLife
 from multilight.lights.photometry.radiometry import (
@@ -17,8 +16,10 @@ from multilight.lights.photometry.radiometry import (
 )
 from multilight.lights.spec import AreaLight, PointLight, SpotLight
 from multilight.scenes.arrays import Float64
-from multilight.scenes.cameras.pinhole import look_at, matrix4
+from multilight.scenes.cameras.pinhole import look_at
 from multilight.scenes.frozen import Rgb, Vector3
+from multilight.scenes.poses import direction_from, matrix4
+from multilight.scenes.streams import log_uniform
 
 LampKind = Literal["area", "point", "spot"]
 Lamp = PointLight | SpotLight | AreaLight
@@ -188,8 +189,3 @@ def _free_place(rng: np.random.Generator, place: StillLife, post: Post) -> Float
 def vector(values: Float64) -> Vector3:
     """Turn an array (3,) into the tuple that specifications hold."""
     return float(values[0]), float(values[1]), float(values[2])
-
-
-def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
-    """Draw between two positive numbers, evenly in their logarithm."""
-    return float(np.exp(rng.uniform(np.log(low), np.log(high))))

@@ -6,11 +6,12 @@ from multilight.lights.photometry.irradiance import StillLife
 from multilight.lights.rigs.balance import Share, balance, scaled
 from multilight.lights.rigs.daylight import environment, moon, open_direction, overcast, sun_and_sky, turned
 from multilight.lights.rigs.design import RigDesign
-from multilight.lights.rigs.lamps import LampKind, Post, draw_tint, hang, log_uniform
+from multilight.lights.rigs.lamps import LampKind, Post, draw_tint, hang
 from multilight.lights.rigs.tabletop import glow_share, key_tint
 from multilight.lights.spec import Light, LightRig
+from multilight.scenes.streams import log_uniform, pick_at, weighted_pick
 
-MOODS = (("sun", 0.36), ("golden", 0.2), ("overcast", 0.12), ("place", 0.16), ("night", 0.16))
+MOODS = {"sun": 0.36, "golden": 0.2, "overcast": 0.12, "place": 0.16, "night": 0.16}
 """What the weather and the hour are, with the shares of scenes."""
 PLACE_LUX, NIGHT_LUX = (1000.0, 30_000.0), (8.0, 120.0)
 """Illuminance in a photographed place by day, whose own level is not known, and under practical lamps [lx]."""
@@ -21,8 +22,7 @@ def outdoor_rig(rng: np.random.Generator, place: StillLife, design: RigDesign, *
 
     One light alone by day is the sky: open shade. Beside sun or sky stand reflectors and flashes.
     """
-    steps = np.cumsum([share for _, share in MOODS])
-    mood = MOODS[min(int(np.searchsorted(steps, design.mood, side="right")), len(MOODS) - 1)][0]
+    mood = pick_at(design.mood, MOODS)
     count = min(max(design.lights, lights[0]), lights[1])
     glow = glow_share(rng, place)
     if glow is not None and mood in ("sun", "place"):
@@ -47,7 +47,7 @@ def _daylight(rng: np.random.Generator, place: StillLife, design: RigDesign, moo
     if mood == "overcast" or found is None:
         return [overcast(float(rng.uniform(0.0, 2 * np.pi)))]
     # What blocks the way may turn the sun, but not raise it: the hour is the mood's.
-    haze = 2.0 if mood == "golden" else float(rng.choice([2.0, 3.0, 6.0], p=[0.4, 0.4, 0.2]))
+    haze = 2.0 if mood == "golden" else weighted_pick(rng, {2.0: 0.4, 3.0: 0.4, 6.0: 0.2})
     sun, sky = sun_and_sky(found[0], height, haze)
     return [sun, sky] if count > 1 else [sky]
 

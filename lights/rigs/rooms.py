@@ -17,19 +17,18 @@ from multilight.lights.photometry.radiometry import (
 )
 from multilight.lights.rigs.balance import scaled
 from multilight.lights.rigs.design import rig_design
-from multilight.lights.rigs.lamps import log_uniform
 from multilight.lights.rigs.windows import daylight, sunlight
 from multilight.lights.spec import AreaLight, EmissiveLight, Light, LightRig, SpotLight
-from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.library import AssetLibrary
-from multilight.scenes.cameras.pinhole import matrix4
 from multilight.scenes.colour import luminance
 from multilight.scenes.frozen import Rgb
-from multilight.scenes.geometry.rays import body_triangles
+from multilight.scenes.geometry.rays import body_triangles, part_triangles
 from multilight.scenes.materials import GLOW
 from multilight.scenes.materials.emission import sample_glow
+from multilight.scenes.meshes import triangle_areas
+from multilight.scenes.poses import matrix4, translation
 from multilight.scenes.spec import Body, MeshAsset, SceneSpec, Texture
-from multilight.scenes.streams import Streams
+from multilight.scenes.streams import Streams, log_uniform, weighted_pick
 
 MOST_LIGHTS = 8
 DAY_LUX = (200.0, 1200.0)
@@ -81,7 +80,7 @@ def sample_room_rig(
     windows = [body for body in scene.bodies if body.category == "window"]
     if not windows and not glows:
         raise ValueError(f"scene {scene.index} has neither windows nor lamps, so nothing can light it")
-    hour = str(rng.choice(["day", "dusk", "night"], p=[0.66, 0.22, 0.12]))
+    hour = weighted_pick(rng, {"day": 0.66, "dusk": 0.22, "night": 0.12})
     if sum(glow.bright for glow in glows) < 2 or not windows:
         hour = "day" if windows else "night"
     inserted = sum(glow.body.insertable for glow in glows)
@@ -119,8 +118,8 @@ def _glows(rng: np.random.Generator, scene: SceneSpec, library: AssetLibrary) ->
         for part, material in enumerate(body.materials):
             if material.name == GLOW and isinstance(body.geometry, MeshAsset):
                 name = library.mesh(body.geometry.asset).parts[part].name
-                area = float(np.linalg.norm(_crosses(body, part, library), axis=1).sum() / 2)
-                found.append(_Glow(body, part, _kind(body, name), area))
+                area = triangle_areas(part_triangles(body, part, library)).sum()
+                found.append(_Glow(body, part, _kind(body, name), float(area)))
                 break
     return sorted(found, key=lambda glow: (not glow.body.insertable, -FLUX.get(glow.kind, (0.0, 100.0))[1]))
 
@@ -130,16 +129,6 @@ def _kind(body: Body, part: str) -> str:
     if part in _FLAMES:
         return "candle"
     return body.category if body.category in FLUX else "screen"
-
-
-def _crosses(body: Body, part: int, library: AssetLibrary) -> Float64:
-    """Return the cross products of two edges of each triangle of a part, in the world, (F, 3) [m²]."""
-    vertices, faces = body_triangles(body, library)
-    assert isinstance(body.geometry, MeshAsset)
-    sizes = [len(p.faces) for p in library.mesh(body.geometry.asset).parts]
-    first = sum(sizes[:part])
-    a, b, c = np.moveaxis(vertices[faces[first : first + sizes[part]]], 1, 0)
-    return np.asarray(np.cross(b - a, c - a))
 
 
 def _shining(rng: np.random.Generator, glow: _Glow, library: AssetLibrary) -> EmissiveLight:
@@ -228,15 +217,13 @@ def _downlight(rng: np.random.Generator, scene: SceneSpec, suffix: str) -> SpotL
             radius=0.03,
         )
     side = float(rng.uniform(0.2, 0.6))
-    pose = np.eye(4)
-    pose[:3, 3] = place
     flux = watts_from_photometric(log_uniform(rng, 700.0, 2500.0))
     return AreaLight(
         name=f"panel{suffix}",
         colour_temperature=temperature,
         width=side,
         height=side,
-        world_from_light=matrix4(pose),
+        world_from_light=matrix4(translation(place)),
         radiance=rgb_from_scalar(area_radiance_from_flux(flux, side * side), colour),
     )
 

@@ -2,7 +2,6 @@
 
 from typing import get_args
 
-from multilight.lights.photometry.directions import direction_from
 from multilight.lights.photometry.irradiance import StillLife
 from multilight.lights.rigs.balance import scaled
 from multilight.lights.rigs.custom import custom_rig
@@ -15,7 +14,7 @@ from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.spec import SceneSpec
 from multilight.scenes.streams import Streams
 
-__all__ = ["ALL_KINDS", "SPHERES_KINDS", "LightKind", "direction_from", "sample_rig", "scaled"]
+__all__ = ["ALL_KINDS", "SPHERES_KINDS", "LightKind", "sample_rig", "scaled"]
 
 ALL_KINDS: tuple[LightKind, ...] = get_args(LightKind)
 SPHERES_KINDS: tuple[LightKind, ...] = ("environment", "sun", "point", "spot")

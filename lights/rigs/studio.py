@@ -4,16 +4,17 @@ from collections.abc import Callable
 
 import numpy as np
 
-from multilight.lights.photometry.directions import direction_from
 from multilight.lights.photometry.irradiance import StillLife
 from multilight.lights.photometry.radiometry import intensity_from_lumens, spot_solid_angle
 from multilight.lights.rigs.balance import Share, balance
 from multilight.lights.rigs.daylight import environment
 from multilight.lights.rigs.design import RigDesign
-from multilight.lights.rigs.lamps import LampKind, Post, draw_tint, gelled, hang, log_uniform, vector, white_tint
+from multilight.lights.rigs.lamps import LampKind, Post, draw_tint, gelled, hang, vector, white_tint
 from multilight.lights.rigs.tabletop import glow_share, key_tint
 from multilight.lights.spec import LightRig, SpotLight
 from multilight.scenes.colour import luminance
+from multilight.scenes.poses import direction_from
+from multilight.scenes.streams import log_uniform
 
 KEY_LUX = (500.0, 3000.0)
 """Illuminance that the key aims at [lx]: continuous studio heads; flashes give more in less time."""

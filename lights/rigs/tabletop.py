@@ -11,12 +11,13 @@ from multilight.lights.photometry.radiometry import rgb_from_scalar, watts_from_
 from multilight.lights.rigs.balance import Share, balance
 from multilight.lights.rigs.daylight import environment, plain_sun, sun_and_sky, turned
 from multilight.lights.rigs.design import RigDesign
-from multilight.lights.rigs.lamps import LampKind, Post, Tint, draw_tint, gelled, hang, log_uniform, white_tint
+from multilight.lights.rigs.lamps import LampKind, Post, Tint, draw_tint, gelled, hang, white_tint
 from multilight.lights.spec import EmissiveLight, EnvironmentLight, Light, LightRig, PointLight, SpotLight, SunLight
 from multilight.scenes.appearance import is_mirror
 from multilight.scenes.materials.emission import sample_glow
 from multilight.scenes.spec import MeshAsset
 from multilight.scenes.still_life.setting import emissive_candidate
+from multilight.scenes.streams import log_uniform, weighted_pick
 
 LightKind = Literal["environment", "sun", "point", "spot", "area", "emissive"]
 
@@ -170,11 +171,10 @@ def _fills(
     if room > len(shares) + 1 and enclosed and not hard and "environment" in kinds and rng.random() < 0.15:
         tint = draw_tint(rng, gels=0.5, middle=6000.0)
         shares.append(Share(environment(rng, place, tint, name="ambient", categories=MAPS), 0.7))
-    lamp_kinds: list[LampKind] = [kind for kind in _SHARES if kind in kinds]
-    odds = np.array([_SHARES[kind] for kind in lamp_kinds])
+    odds = {kind: weight for kind, weight in _SHARES.items() if kind in kinds}
     for i in rng.permutation(len(_PLACES))[: max(0, room - len(shares))]:
         where = _PLACES[int(i)]
-        kind = lamp_kinds[int(rng.choice(len(lamp_kinds), p=odds / odds.sum()))]
+        kind = weighted_pick(rng, odds)
         post = Post(
             where.name,
             kind,

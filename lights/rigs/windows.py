@@ -5,12 +5,13 @@ import numpy as np
 from multilight.lights.photometry.colour import temperature_to_rgb
 from multilight.lights.photometry.irradiance import map_directions, small_map
 from multilight.lights.photometry.radiometry import rgb_from_scalar, watts_from_photometric
-from multilight.lights.rigs.lamps import log_uniform
-from multilight.lights.spec import EnvironmentLight, SunLight
+from multilight.lights.spec import SUN_ANGLE, EnvironmentLight, SunLight
 from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.colour import luminance
+from multilight.scenes.poses import direction_from
 from multilight.scenes.spec import Body
+from multilight.scenes.streams import log_uniform
 
 SUN_RATIO = (1.0, 5.0)
 """Illuminance of sunlight, facing it, against that of the sky on the window."""
@@ -54,10 +55,10 @@ def sunlight(rng: np.random.Generator, windows: list[Body], sky_lux: float) -> S
     outward = _outward(windows[int(rng.integers(len(windows)))])
     azimuth = float(np.arctan2(outward[1], outward[0])) + float(rng.uniform(-1.0, 1.0))
     elevation = float(np.radians(rng.uniform(14.0, 50.0)))
-    towards = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
+    towards = direction_from(azimuth, elevation)
     temperature = round(float(np.interp(elevation, [0.25, 0.9], [3800.0, 5600.0]) * rng.uniform(0.95, 1.05)))
     strength = watts_from_photometric(sky_lux * log_uniform(rng, *SUN_RATIO))
-    angle = 0.00918 if rng.random() < 0.6 else log_uniform(rng, 0.00918, 0.05)
+    angle = SUN_ANGLE if rng.random() < 0.6 else log_uniform(rng, SUN_ANGLE, 0.05)
     return SunLight(
         name="sun",
         colour_temperature=temperature,

@@ -7,7 +7,6 @@ long, and are averaged alike; none is chosen by how well it does.
 
 import copy
 import json
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,6 +31,7 @@ from multilight.model.training.stage2d import FINISHED, train
 from multilight.model.training.stage3d import train_scenes
 from multilight.scenes.assets.splits import Split
 from multilight.scenes.files.limits import read_json
+from multilight.scenes.names import slug
 
 Values = dict[str, Any]
 """Values of a training's configuration; tables are nested."""
@@ -249,7 +249,7 @@ def over(base: Values, changes: Values) -> Values:
 
 
 def _trained(settings: AblationSettings, name: str, seed: int, values: Values) -> Run:
-    folder = settings.out / "runs" / f"{re.sub('[^a-z0-9]+', '-', name.lower()).strip('-')}-{seed}"
+    folder = settings.out / "runs" / f"{slug(name, '-')}-{seed}"
     values = over(values, {"out": folder, "seed": seed, "data": {"seed": seed}})
     network: nn.Module
     if settings.name == "order":

@@ -10,8 +10,9 @@ from multilight.datagen.errors import UserError
 from multilight.model.captures.lenses import Lens, undistorted
 from multilight.model.inference.pictures import read_depth, resized
 from multilight.scenes.arrays import Float32, Float64, Int64
-from multilight.scenes.cameras.pinhole import matrix4, reprojection_error
+from multilight.scenes.cameras.pinhole import reprojection_error
 from multilight.scenes.files.limits import open_picture
+from multilight.scenes.poses import matrix4
 from multilight.scenes.spec import Camera
 
 ALIKE = 0.02

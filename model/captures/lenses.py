@@ -7,7 +7,7 @@ from scipy.ndimage import map_coordinates
 
 from multilight.datagen.errors import UserError
 from multilight.scenes.arrays import Float32, Float64
-from multilight.scenes.cameras.pinhole import matrix4
+from multilight.scenes.poses import matrix4
 from multilight.scenes.spec import Camera
 
 ONE_FOCAL = {"SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"}

@@ -10,7 +10,9 @@ from multilight.model.captures.assets import Asset
 from multilight.scenes.arrays import Float32, Float64, Int64
 from multilight.scenes.cameras.pinhole import pixel_rays, project
 from multilight.scenes.colour import srgb_decode, srgb_encode
-from multilight.scenes.meshes import MeshPart
+from multilight.scenes.geometry.support_surfaces import stacked_faces
+from multilight.scenes.meshes import MeshPart, triangle_crosses
+from multilight.scenes.poses import apply_pose
 from multilight.scenes.spec import Camera
 
 GRID = 3
@@ -48,14 +50,11 @@ class PlacedObject:
     def __init__(self, asset: Asset, world_from_asset: Float64) -> None:
         self.asset, self.pose = asset, world_from_asset
         parts = asset.mesh.parts
-        starts = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
-        local = asset.mesh.vertices().astype(np.float64)
-        self.vertices = local @ world_from_asset[:3, :3].T + world_from_asset[:3, 3]
+        self.vertices = apply_pose(world_from_asset, asset.mesh.vertices().astype(np.float64))
         turned = np.concatenate([part.normals for part in parts]) @ world_from_asset[:3, :3].T
         self._normals = turned / np.linalg.norm(turned, axis=1, keepdims=True)
         self._uv = np.concatenate([part.uv for part in parts])
-        self._faces = np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=True)])
-        self._part = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts])
+        self._faces, self._part = stacked_faces(asset.mesh), asset.mesh.part_of_face()
         self._tracer = RayMeshIntersector(Trimesh(self.vertices, self._faces, process=False))
 
     def seen(self, camera: Camera, scene_depth: Float32) -> ObjectView:
@@ -98,7 +97,7 @@ class PlacedObject:
         hit = np.flatnonzero(face >= 0)
         corners = self._faces[face[hit]]
         a, b, c = (self.vertices[corners[:, i]] for i in range(3))
-        flat = np.cross(b - a, c - a)
+        flat = triangle_crosses(self.vertices[corners])
         facing = np.sum(flat * ways[hit], axis=1)
         distance[hit] = np.sum((a - origins[hit]) * flat, axis=1) / np.where(np.abs(facing) > 1e-30, facing, 1e-30)
         at = origins[hit] + distance[hit][:, None] * ways[hit]

@@ -14,6 +14,7 @@ from multilight.model.captures.capture import Capture
 from multilight.model.captures.planes import find_plane, free_place, scene_centre, scene_up
 from multilight.scenes.arrays import Float64
 from multilight.scenes.files.limits import parse_json, read_text
+from multilight.scenes.poses import pose_of
 
 SHARES = (0.2, 0.15, 0.11, 0.08, 0.06)
 """Share of the pictures' width that the object takes at the scene's centre, unless its scale is given: the first that
@@ -62,10 +63,7 @@ def fitting_scale(capture: Capture, asset: Asset, share: float = SHARES[0]) -> f
 def upright(place: Float64, up: Float64, yaw: float, scale: float) -> Float64:
     """Return the pose (4x4) of an asset that stands at `place` with its +Z along `up`, turned by `yaw` degrees."""
     turn, _ = Rotation.align_vectors(up[None], np.array([[0.0, 0.0, 1.0]]))
-    pose = np.eye(4)
-    pose[:3, :3] = scale * (turn * Rotation.from_euler("z", yaw, degrees=True)).as_matrix()
-    pose[:3, 3] = place
-    return pose
+    return pose_of(scale * (turn * Rotation.from_euler("z", yaw, degrees=True)).as_matrix(), place)
 
 
 def _from_file(path: Path, capture: Capture, asset: Asset, wish: Wish) -> Float64:

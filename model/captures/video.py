@@ -10,9 +10,10 @@ import numpy as np
 from multilight.datagen.errors import UserError
 from multilight.model.inference.pictures import to_bytes
 from multilight.scenes.arrays import Float32, Float64
-from multilight.scenes.cameras.pinhole import look_at, matrix4
+from multilight.scenes.cameras.pinhole import look_at
 from multilight.scenes.gaussians.from_views import Gaussians
 from multilight.scenes.gaussians.splatting import blending_weights
+from multilight.scenes.poses import matrix4
 from multilight.scenes.spec import Camera
 
 FPS = 24

@@ -17,10 +17,9 @@ A scene's split follows from (dataset seed, index), evenly spread, with the shar
 import hashlib
 from typing import Literal
 
-from pydantic import ConfigDict, model_validator
-
 from multilight.scenes.assets.info import AssetInfo, AssetRole
-from multilight.scenes.frozen import Frozen, UnitFloat
+from multilight.scenes.frozen import UnitFloat
+from multilight.scenes.streams import Weights, pick_at
 
 Split = Literal["train", "val", "test", "test_ood"]
 SPLITS: tuple[Split, ...] = ("train", "val", "test", "test_ood")
@@ -67,10 +66,8 @@ _PLASTIC = 1.32471795724474602596
 effectiveness of quasirandom sequences, 2018: the R2 sequence)."""
 
 
-class SplitShares(Frozen):
-    """Shares of the scenes of a dataset; relative to one another."""
-
-    model_config = ConfigDict(use_attribute_docstrings=True)
+class SplitShares(Weights[Split]):
+    """How many scenes of a dataset each split gets, relative to the others."""
 
     train: UnitFloat = 0.8
     """Scenes to learn from."""
@@ -80,12 +77,6 @@ class SplitShares(Frozen):
     """Scenes to report on: assets and places of their own, kinds as in training."""
     test_ood: UnitFloat = 0.0
     """Scenes out of domain: categories, places and (where held out) kinds never seen in training."""
-
-    @model_validator(mode="after")
-    def _some_share(self) -> "SplitShares":
-        if not self.train + self.val + self.test + self.test_ood > 0:
-            raise ValueError("at least one split needs a share above 0")
-        return self
 
 
 def asset_split(info: AssetInfo) -> Split | None:
@@ -99,7 +90,7 @@ def asset_split(info: AssetInfo) -> Split | None:
     group = f"category {info.category}" if whole_category else identity
     if _unit(f"{key} domain {group}") < ASSET_SHARES["test_ood"]:
         return "test_ood"
-    return _pick(_unit(f"{key} {identity}"), {split: ASSET_SHARES[split] for split in ("train", "val", "test")})
+    return pick_at(_unit(f"{key} {identity}"), {split: ASSET_SHARES[split] for split in ("train", "val", "test")})
 
 
 def in_split(info: AssetInfo, split: Split) -> bool:
@@ -109,23 +100,13 @@ def in_split(info: AssetInfo, split: Split) -> bool:
 
 def scene_split(seed: int, index: int, shares: SplitShares) -> Split:
     """Return the split of a scene; any run of consecutive scenes holds the shares as nearly as it can."""
-    return _pick(scene_place(seed, index)[0], {split: getattr(shares, split) for split in SPLITS})
+    return shares.at(scene_place(seed, index)[0])
 
 
 def scene_place(seed: int, index: int) -> tuple[float, float]:
     """Return a scene's place in the unit square: evenly spread over indices, shifted by the dataset's seed."""
     shift = _unit(f"u {seed}"), _unit(f"v {seed}")
     return (shift[0] + index / _PLASTIC) % 1.0, (shift[1] + index / _PLASTIC**2) % 1.0
-
-
-def _pick(place: float, shares: dict[Split, float]) -> Split:
-    """Return where `place` in [0, 1) falls when the shares are laid end to end."""
-    rest = place * sum(shares.values())
-    for split, share in shares.items():
-        if rest < share:
-            return split
-        rest -= share
-    return next(split for split, share in reversed(shares.items()) if share > 0)
 
 
 def _unit(key: str) -> float:

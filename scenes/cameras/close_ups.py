@@ -5,7 +5,8 @@ from collections.abc import Callable
 import numpy as np
 
 from multilight.scenes.arrays import Float64
-from multilight.scenes.cameras.pinhole import SENSOR_MM, camera_from_lens, look_at
+from multilight.scenes.cameras.pinhole import camera_from_lens, focal_length_mm, half_angle, look_at
+from multilight.scenes.poses import box_centre, direction_from
 from multilight.scenes.spec import Camera
 
 SHARE = 0.6
@@ -37,13 +38,13 @@ def move_in(
     Each keeps its lens and, as far as `is_good` allows, its side; where none does, and where that would be no
     closer, the camera stays as it is.
     """
-    middle = (points.min(axis=0) + points.max(axis=0)) / 2
-    radius = float(np.linalg.norm(points - middle, axis=1).max())
+    centre = box_centre(points)
+    radius = float(np.linalg.norm(points - centre, axis=1).max())
     result = list(cameras)
     for step, number in enumerate(range(len(cameras) - count, len(cameras))):
         framed = radius * FRAMED[1] * (FRAMED[0] / FRAMED[1]) ** ((step + 1) / count)
         for attempt in range(TRIES):
-            camera = _near(rng, cameras[number], middle, framed, jitter=attempt / TRIES)
+            camera = _near(rng, cameras[number], centre, framed, jitter=attempt / TRIES)
             if camera is None:
                 break
             if is_good(camera):
@@ -52,19 +53,16 @@ def move_in(
     return tuple(result)
 
 
-def _near(rng: np.random.Generator, camera: Camera, middle: Float64, framed: float, *, jitter: float) -> Camera | None:
+def _near(rng: np.random.Generator, camera: Camera, centre: Float64, framed: float, *, jitter: float) -> Camera | None:
     """Move one camera along its line of sight, more or less, until the picture holds `framed` [m]; None if it does."""
-    size, focal = (camera.width, camera.height), camera.fx * SENSOR_MM / max(camera.width, camera.height)
-    half = np.arctan(SENSOR_MM / (2.0 * focal) * min(size) / max(size))
-    way = camera.pose()[:3, 3] - middle
-    distance = framed / np.sin(half)
-    if distance > 0.85 * np.linalg.norm(way):
+    size, focal = (camera.width, camera.height), focal_length_mm(camera)
+    offset = camera.pose()[:3, 3] - centre
+    distance = framed / np.sin(half_angle(focal, size))
+    if distance > 0.85 * np.linalg.norm(offset):
         return None
-    azimuth = np.arctan2(way[1], way[0]) + jitter * rng.normal(0.0, 0.6)
-    elevation = np.arctan2(way[2], np.hypot(way[0], way[1])) + jitter * rng.normal(0.0, 0.35)
-    elevation = np.clip(elevation, 0.15, 1.0)
-    level = np.cos(elevation)
-    towards = np.array([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
-    aim = middle + 0.12 * framed * rng.uniform(-1.0, 1.0, 3)
-    pose = look_at(middle + distance * towards, aim, up=(0.01 * rng.normal(), 0.01 * rng.normal(), 1.0))
+    azimuth = np.arctan2(offset[1], offset[0]) + jitter * rng.normal(0.0, 0.6)
+    elevation = np.arctan2(offset[2], np.hypot(offset[0], offset[1])) + jitter * rng.normal(0.0, 0.35)
+    towards = direction_from(azimuth, np.clip(elevation, 0.15, 1.0))
+    aim = centre + 0.12 * framed * rng.uniform(-1.0, 1.0, 3)
+    pose = look_at(centre + distance * towards, aim, up=(0.01 * rng.normal(), 0.01 * rng.normal(), 1.0))
     return camera_from_lens(pose, width=size[0], height=size[1], focal_length_mm=focal)

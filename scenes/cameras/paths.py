@@ -12,9 +12,12 @@ import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 
 from multilight.scenes.arrays import Float64
-from multilight.scenes.cameras.pinhole import SENSOR_MM, camera_from_lens, look_at
+from multilight.scenes.cameras.pinhole import camera_from_lens, half_angle, look_at
 from multilight.scenes.frozen import Frozen, UnitFloat
+from multilight.scenes.numbers import smoothstep
+from multilight.scenes.poses import direction_from
 from multilight.scenes.spec import Camera
+from multilight.scenes.streams import Weights, log_uniform
 
 TrajectoryKind = Literal["approach", "orbit", "handheld", "random"]
 """From distant to close; round the subject; a hand that holds still as best it can; anywhere at all."""
@@ -27,10 +30,8 @@ Lens = Annotated[float, Field(ge=12, le=200, json_schema_extra={"unit": "mm"})]
 FNumber = Annotated[float, Field(ge=0.95, le=64)]
 
 
-class TrajectoryShares(Frozen):
+class TrajectoryShares(Weights[TrajectoryKind]):
     """How often each kind of trajectory comes, relative to the others."""
-
-    model_config = ConfigDict(use_attribute_docstrings=True)
 
     approach: UnitFloat = 0.4
     """From distant to close on an arc."""
@@ -40,12 +41,6 @@ class TrajectoryShares(Frozen):
     """One standpoint, with the smooth wobble of a hand."""
     random: UnitFloat = 0.15
     """Each view from anywhere, with any lens."""
-
-    @model_validator(mode="after")
-    def _some_share(self) -> "TrajectoryShares":
-        if not self.approach + self.orbit + self.handheld + self.random > 0:
-            raise ValueError("at least one trajectory needs a share above 0")
-        return self
 
 
 class CameraSettings(Frozen):
@@ -108,10 +103,7 @@ class Path:
 
 def choose_trajectory(rng: np.random.Generator, settings: CameraSettings) -> TrajectoryKind:
     """Draw a kind of trajectory by the shares."""
-    shares = settings.trajectories.model_dump()
-    kinds: list[TrajectoryKind] = ["approach", "orbit", "handheld", "random"]
-    weights = np.array([shares[kind] for kind in kinds])
-    return kinds[int(rng.choice(len(kinds), p=weights / weights.sum()))]
+    return settings.trajectories.draw(rng)
 
 
 def draw_path(
@@ -135,13 +127,10 @@ def camera_on(path: Path, view: int, aims: tuple[Float64, Float64], size: tuple[
     """Place the camera of a view; `aims` are the middles (3,) of the table and of the objects, `size` in pixels."""
     framed, focal = float(path.framed[view]), float(path.focal[view])
     aim = aims[0] + path.towards[view] * (aims[1] - aims[0]) + framed * path.sway[view]
-    half = np.arctan(SENSOR_MM / (2.0 * focal) * min(size) / max(size))
     azimuth, elevation = path.azimuth[view], path.elevation[view]
-    level = np.cos(elevation)
-    way = np.array([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
     lean = float(np.tan(path.roll[view]))
     up = (-np.sin(azimuth) * lean, np.cos(azimuth) * lean, 1.0)
-    pose = look_at(aim + framed / np.sin(half) * way, aim, up=up)
+    pose = look_at(aim + framed / np.sin(half_angle(focal, size)) * direction_from(azimuth, elevation), aim, up=up)
     return camera_from_lens(pose, width=size[0], height=size[1], focal_length_mm=focal)
 
 
@@ -165,7 +154,7 @@ def _approach(rng: np.random.Generator, framing: Framing, views: int, lens: tupl
     middle, side = _middle_azimuth(rng, framing, sweep), float(rng.choice([-1.0, 1.0]))
     t = _steps(views)
     # Azimuth runs evenly; the approach starts gently and ends gently.
-    ease = 0.5 * t + 0.5 * t**2 * (3 - 2 * t)
+    ease = 0.5 * t + 0.5 * smoothstep(t)
     usual = float(np.sqrt(lens[0] * lens[1]))
     ends = np.log([rng.uniform(lens[0], usual), rng.uniform(0.9 * usual, lens[1])]).clip(*np.log(lens))
     elevation = np.radians([rng.uniform(20.0, 42.0), rng.uniform(16.0, 48.0)])
@@ -196,7 +185,7 @@ def _orbit(rng: np.random.Generator, framing: Framing, views: int, lens: tuple[f
         azimuth=middle + side * sweep * (t - 0.5),
         elevation=np.clip(height, LOWEST, HIGHEST),
         roll=np.zeros(views),
-        focal=np.full(views, _log_uniform(rng, *lens)),
+        focal=np.full(views, log_uniform(rng, *lens)),
         framed=framed * (1.0 + 0.03 * _wander(rng, t)),
         towards=np.full(views, rng.uniform(0.7, 1.0)),
         sway=np.zeros((views, 3)),
@@ -215,7 +204,7 @@ def _handheld(rng: np.random.Generator, framing: Framing, views: int, lens: tupl
         azimuth=middle + wobble * np.radians(6.0) * _wander(rng, t),
         elevation=np.clip(height, LOWEST, HIGHEST),
         roll=wobble * np.radians(1.2) * _wander(rng, t),
-        focal=np.full(views, _log_uniform(rng, *lens)),
+        focal=np.full(views, log_uniform(rng, *lens)),
         framed=framed * drift * (1.0 + wobble * 0.04 * _wander(rng, t)),
         towards=np.full(views, rng.uniform(0.6, 1.0)),
         sway=wobble * 0.04 * np.stack([_wander(rng, t) for _ in range(3)], axis=-1),
@@ -242,8 +231,3 @@ def _wander(rng: np.random.Generator, t: Float64) -> Float64:
     for amplitude, cycles in ((0.9, (0.3, 0.8)), (0.8, (0.8, 1.6)), (0.5, (1.6, 2.8))):
         curve += amplitude * np.sin(2 * np.pi * (rng.uniform(*cycles) * t + rng.random()))
     return curve / np.sqrt((0.9**2 + 0.8**2 + 0.5**2) / 2)
-
-
-def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
-    """Draw between two positive numbers, evenly in their logarithm."""
-    return float(np.exp(rng.uniform(np.log(low), np.log(high))))

@@ -64,6 +64,11 @@ def focal_length_mm(camera: Camera) -> float:
     return SENSOR_MM * camera.fx / max(camera.width, camera.height)
 
 
+def half_angle(focal_length_mm: float, size: tuple[int, int]) -> float:
+    """Return half the angle [rad] that the shorter side of a picture of `size` (width, height) [pixels] spans."""
+    return float(np.arctan(SENSOR_MM / (2.0 * focal_length_mm) * min(size) / max(size)))
+
+
 def with_depth_of_field(camera: Camera, *, f_number: float, focus_distance: float) -> Camera:
     """Open the lens: aperture as on a full-frame camera, focused on the plane at `focus_distance` [m].
 

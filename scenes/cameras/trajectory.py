@@ -20,7 +20,9 @@ from multilight.scenes.cameras.paths import (
 )
 from multilight.scenes.cameras.pinhole import project, with_depth_of_field
 from multilight.scenes.geometry.rays import SceneRays
+from multilight.scenes.poses import box_centre, translation
 from multilight.scenes.spec import Camera
+from multilight.scenes.streams import log_uniform
 
 CLEARANCE = 0.08
 """Smallest distance [m] of a camera to the convex hull of any body, and to any wall."""
@@ -97,7 +99,7 @@ def sample_trajectory(
 
 def _framing(rng: np.random.Generator, subject: Subject, *, narrow: float) -> Framing:
     """Measure the still life and the table, and draw how tightly they are framed."""
-    group = float(np.linalg.norm(subject.group - _middle(subject.group), axis=1).max())
+    group = float(np.linalg.norm(subject.group - box_centre(subject.group), axis=1).max())
     table = float(np.linalg.norm(subject.table - subject.table.mean(axis=0), axis=1).max())
     close = group * rng.uniform(0.92, 1.12)
     distant = float(np.clip(table * rng.uniform(0.8, 1.0), 1.6 * close, 3.0 * close))
@@ -106,14 +108,9 @@ def _framing(rng: np.random.Generator, subject: Subject, *, narrow: float) -> Fr
 
 def _aims(subject: Subject) -> tuple[Float64, Float64]:
     """Return what a distant camera looks at, and what a close one does: points (3,)."""
-    distant = 0.5 * _middle(subject.group) + 0.5 * subject.table.mean(axis=0)
-    watched = _middle(np.concatenate(list(subject.watched.values())))
-    return distant, 0.6 * _middle(subject.group) + 0.4 * watched
-
-
-def _middle(points: Float64) -> Float64:
-    """Return the centre of the bounding box of points (N, 3)."""
-    return np.asarray((points.min(axis=0) + points.max(axis=0)) / 2)
+    distant = 0.5 * box_centre(subject.group) + 0.5 * subject.table.mean(axis=0)
+    watched = box_centre(np.concatenate(list(subject.watched.values())))
+    return distant, 0.6 * box_centre(subject.group) + 0.4 * watched
 
 
 def _scattered(
@@ -160,9 +157,9 @@ def focused(
     if rng.random() >= settings.depth_of_field:
         return cameras
     watched = sorted(objects)
-    middle = _middle(objects[watched[int(rng.integers(len(watched)))]])
-    f_number = float(np.exp(rng.uniform(*np.log(settings.f_number))))
-    depths = [float(project(camera, middle[None])[1][0]) for camera in cameras]
+    centre = box_centre(objects[watched[int(rng.integers(len(watched)))]])
+    f_number = log_uniform(rng, *settings.f_number)
+    depths = [float(project(camera, centre[None])[1][0]) for camera in cameras]
     # An object behind the camera cannot be in focus: such a view looks into the distance.
     return tuple(
         with_depth_of_field(camera, f_number=f_number, focus_distance=depth if depth > 0 else 10.0)
@@ -178,13 +175,11 @@ def _is_free(camera: Camera, subject: Subject) -> bool:
     distance = np.linalg.norm(closest_point(subject.walls, np.broadcast_to(eye, (len(subject.walls), 3))) - eye, axis=1)
     if distance.min() < CLEARANCE:
         return False
-    above = _middle(subject.group)
+    above = box_centre(subject.group)
     above[2] = subject.group[:, 2].max() + 0.01
     if not subject.rays.sees(above, eye[None], slack=0.0)[0]:
         return False
-    pose = np.eye(4)
-    pose[:3, 3] = eye
-    return bool(subject.solids.min_distance_single(_POINT, pose) >= CLEARANCE)
+    return bool(subject.solids.min_distance_single(_POINT, translation(eye)) >= CLEARANCE)
 
 
 def _shows(cameras: Sequence[Camera], subject: Subject, share: float) -> bool:

@@ -12,6 +12,8 @@ from trimesh.triangles import closest_point
 
 from multilight.scenes.arrays import Float64, Int64
 from multilight.scenes.geometry.solids import Placed, Solid, bvh
+from multilight.scenes.meshes import triangle_crosses
+from multilight.scenes.poses import apply_pose
 
 ACCURACY = 1e-4
 """How far [m] a depth may lie below the true one."""
@@ -80,9 +82,9 @@ def depth(first: Placed, second: Placed, *, ignore: float = NEGLIGIBLE) -> float
 def _holds(outer: Placed, inner: Placed) -> bool:
     """Tell whether any piece of `inner` begins inside `outer`."""
     low, high = outer.box
-    probes = inner.solid.probes @ inner.pose[:3, :3].T + inner.pose[:3, 3]
+    probes = apply_pose(inner.pose, inner.solid.probes)
     probes = probes[((probes >= low) & (probes <= high)).all(axis=1)]
-    return bool(outer.solid.contains((probes - outer.pose[:3, 3]) @ outer.pose[:3, :3]).any())
+    return bool(outer.solid.contains(_local(probes, outer)).any())
 
 
 def way_out(first: Placed, second: Placed) -> Float64:
@@ -107,17 +109,13 @@ def _poke(first: Placed, second: Placed) -> float:
 
     Where all lie on one side they tell nothing: then the size of `first`.
     """
-    points = _moved(first.solid.vertices, np.linalg.inv(second.pose) @ first.pose)
+    points = apply_pose(np.linalg.inv(second.pose) @ first.pose, first.solid.vertices)
     distance, face = second.solid.distance(points)
-    a, b, c = np.moveaxis(second.solid.triangles[face], 1, 0)
-    above = ((points - a) * np.cross(b - a, c - a)).sum(axis=1) > 0
+    nearest = second.solid.triangles[face]
+    above = ((points - nearest[:, 0]) * triangle_crosses(nearest)).sum(axis=1) > 0
     if above.all() or not above.any():
         return float((first.solid.high - first.solid.low).max())
     return min(float(distance[above].max()), float(distance[~above].max()))
-
-
-def _moved(points: Float64, pose: Float64) -> Float64:
-    return np.ascontiguousarray(points @ pose[:3, :3].T + pose[:3, 3])
 
 
 def _box(triangles: Float64) -> tuple[Float64, Float64]:
@@ -126,9 +124,9 @@ def _box(triangles: Float64) -> tuple[Float64, Float64]:
     return points.min(axis=0), points.max(axis=0)
 
 
-def _local(triangles: Float64, placed: Placed) -> Float64:
-    """Take triangles (T, 3, 3) from the world to the frame of a solid."""
-    return np.asarray((triangles - placed.pose[:3, 3]) @ placed.pose[:3, :3])
+def _local(points: Float64, placed: Placed) -> Float64:
+    """Take points (..., 3) from the world to the frame of a solid."""
+    return np.asarray((points - placed.pose[:3, 3]) @ placed.pose[:3, :3])
 
 
 def _rounds(triangles: Float64) -> Iterator[tuple[Float64, Float64, Float64, list[Float64]]]:
@@ -193,7 +191,7 @@ def touching(first: Placed, second: Placed, reach: float = 1e-3) -> Float64:
     if not boxes_meet(first, second, reach):
         return np.empty((0, 3))
     found = [
-        _close_points(inner, outer, reach) @ outer.pose[:3, :3].T + outer.pose[:3, 3]
+        apply_pose(outer.pose, _close_points(inner, outer, reach))
         for inner, outer in ((first, second), (second, first))
     ]
     return np.concatenate(found)

@@ -9,6 +9,8 @@ from trimesh.ray.ray_pyembree import RayMeshIntersector
 from multilight.scenes.arrays import Float64, Int64, Mask
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.geometry.support_surfaces import stacked_faces
+from multilight.scenes.meshes import stacked, triangle_areas, triangle_crosses
+from multilight.scenes.poses import apply_pose
 from multilight.scenes.spec import Body, MeshAsset, Rectangle, Sphere
 
 
@@ -29,8 +31,16 @@ def body_triangles(body: Body, library: AssetLibrary) -> tuple[Float64, Int64]:
             vertices = radius * np.concatenate([flat, np.broadcast_to(np.cos(angle)[:, None, None], (13, 24, 1))], -1)
             hull = Trimesh(vertices.reshape(-1, 3), process=False).convex_hull
             vertices, faces = hull.vertices, hull.faces
-    pose = np.array(body.world_from_body)
-    return vertices @ pose[:3, :3].T + pose[:3, 3], np.asarray(faces, np.int64)
+    return apply_pose(np.array(body.world_from_body), vertices), np.asarray(faces, np.int64)
+
+
+def part_triangles(body: Body, part: int, library: AssetLibrary) -> Float64:
+    """Return the triangles of one part of a body in the world, (F, 3, 3) metres."""
+    vertices, faces = body_triangles(body, library)
+    if isinstance(body.geometry, MeshAsset):
+        sizes = [len(p.faces) for p in library.mesh(body.geometry.asset).parts]
+        faces = faces[sum(sizes[:part]) : sum(sizes[: part + 1])]
+    return vertices[faces]
 
 
 class SceneRays:
@@ -38,9 +48,7 @@ class SceneRays:
 
     def __init__(self, bodies: Sequence[Body], library: AssetLibrary) -> None:
         pieces = [body_triangles(body, library) for body in bodies]
-        starts = np.cumsum([0] + [len(vertices) for vertices, _ in pieces[:-1]])
-        faces = np.concatenate([faces + start for (_, faces), start in zip(pieces, starts, strict=True)])
-        self._solid = Trimesh(np.concatenate([vertices for vertices, _ in pieces]), faces, process=False)
+        self._solid = Trimesh(*stacked(pieces), process=False)
         self._body_of_face = np.repeat(np.arange(len(pieces)), [len(faces) for _, faces in pieces])
         self._tracer = RayMeshIntersector(self._solid)
 
@@ -51,8 +59,7 @@ class SceneRays:
         """
         unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
         face = self._tracer.intersects_first(origins, unit)
-        a, b, c = np.moveaxis(self._solid.triangles[face], 1, 0)
-        normal = np.cross(b - a, c - a)
+        a, normal = self._solid.triangles[face, 0], triangle_crosses(self._solid.triangles[face])
         facing = (normal * unit).sum(axis=1)
         distance = ((a - origins) * normal).sum(axis=1) / np.where(np.abs(facing) > 1e-30, facing, 1e-30)
         return np.where(face >= 0, self._body_of_face[face], -1), np.where(face >= 0, distance, np.inf)
@@ -76,7 +83,7 @@ def surface_points(body: Body, library: AssetLibrary, rng: np.random.Generator, 
     """Draw `count` points evenly over a body's surface, (count, 3) float64 world metres."""
     vertices, faces = body_triangles(body, library)
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    area = triangle_areas(vertices[faces])
     face = np.searchsorted(np.cumsum(area), rng.random(count) * area.sum())
     face = np.minimum(face, len(faces) - 1)
     u, v = np.sqrt(rng.random((count, 1))), rng.random((count, 1))

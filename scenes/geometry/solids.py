@@ -17,6 +17,8 @@ from trimesh import Trimesh
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from multilight.scenes.arrays import Float64, Int64, Mask
+from multilight.scenes.meshes import triangle_areas, triangle_crosses
+from multilight.scenes.poses import apply_pose
 
 MOST_HITS = 200
 """Surfaces that a ray is followed through."""
@@ -121,8 +123,7 @@ class Solid:
             alive, origins, face = alive[hit], origins[hit], face[hit]
             if not len(alive):
                 break
-            a, b, c = np.moveaxis(triangles[face], 1, 0)
-            normal = np.cross(b - a, c - a)
+            a, normal = triangles[face, 0], triangle_crosses(triangles[face])
             facing = normal @ way
             count[alive] += np.sign(facing).astype(np.int64)
             ahead = ((a - origins) * normal).sum(axis=1) / np.where(np.abs(facing) > 1e-30, facing, 1e-30)
@@ -158,8 +159,7 @@ def _pieces(vertices: Float64, faces: Int64) -> tuple[Mask, NDArray[np.int32], F
     ends = vertices[faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)]
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) * open_edge
     border = np.bincount(np.repeat(piece, 3), length, pieces)
-    cross = np.cross(*(vertices[faces[:, i]] - vertices[faces[:, 0]] for i in (1, 2)))
-    area = np.bincount(piece, np.linalg.norm(cross, axis=1) / 2, pieces)
+    area = np.bincount(piece, triangle_areas(vertices[faces]), pieces)
     closed = border <= 0.1 * np.sqrt(np.maximum(area, 1e-30))
     _, face = np.unique(piece, return_index=True)
     return closed[piece], piece, vertices[faces[face, 0]]
@@ -175,13 +175,13 @@ class Placed:
     @cached_property
     def box(self) -> tuple[Float64, Float64]:
         """Lowest and highest corner of the box about it in the world, (3,) each, metres."""
-        points = self.solid.vertices @ self.pose[:3, :3].T + self.pose[:3, 3]
+        points = apply_pose(self.pose, self.solid.vertices)
         return points.min(axis=0), points.max(axis=0)
 
     @cached_property
     def triangles(self) -> Float64:
         """The triangles in the world, (F, 3, 3) [m]."""
-        return (self.solid.vertices @ self.pose[:3, :3].T + self.pose[:3, 3])[self.solid.faces]
+        return apply_pose(self.pose, self.solid.vertices)[self.solid.faces]
 
     @cached_property
     def _boxes(self) -> tuple[Float64, Float64]:

@@ -11,7 +11,7 @@ from trimesh import Trimesh
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from multilight.scenes.arrays import Float64, Int64, Mask
-from multilight.scenes.meshes import Mesh
+from multilight.scenes.meshes import Mesh, stacked, triangle_crosses
 
 FLATNESS = 0.0015
 """How far [m] cells of one surface may lie above or below its height."""
@@ -106,7 +106,6 @@ def find_support(mesh: Mesh, *, cell: float = 0.01, smallest: float = 0.4) -> Su
 def _height_map(mesh: Mesh, columns: Float64, rows: Float64, top: float) -> tuple[Float64, Int64, Mask]:
     """Return height [m], part and whether the surface is level, of what lies on top of each cell (rows, columns)."""
     solid = Trimesh(mesh.vertices(), stacked_faces(mesh), process=False)
-    part_of_face = np.repeat(np.arange(len(mesh.parts)), [len(part.faces) for part in mesh.parts])
     x, y = np.meshgrid(columns, rows)
     origins = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, top)])
     face = RayMeshIntersector(solid).intersects_first(origins, np.tile([0.0, 0.0, -1.0], (x.size, 1)))
@@ -116,13 +115,12 @@ def _height_map(mesh: Mesh, columns: Float64, rows: Float64, top: float) -> tupl
     slope = np.where(steep, 1.0, normal[:, 2])
     height = corner[:, 2] - ((origins - corner)[:, :2] * normal[:, :2]).sum(axis=1) / slope
     level = (face >= 0) & ~steep
-    return height.reshape(x.shape), part_of_face[face].reshape(x.shape), level.reshape(x.shape)
+    return height.reshape(x.shape), mesh.part_of_face()[face].reshape(x.shape), level.reshape(x.shape)
 
 
 def _normals(solid: Trimesh) -> Float64:
     """Return a normal for every face, zero where a face is degenerate."""
-    a, b, c = np.moveaxis(solid.triangles, 1, 0)
-    cross = np.cross(b - a, c - a)
+    cross = triangle_crosses(solid.triangles)
     return np.asarray(cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-30))
 
 
@@ -151,8 +149,7 @@ def largest_square(region: Mask) -> int:
 
 def stacked_faces(mesh: Mesh) -> Int64:
     """Stack all parts' faces, (F, 3) int64, as indices into `mesh.vertices()`."""
-    starts = np.cumsum([0] + [len(part.vertices) for part in mesh.parts[:-1]])
-    return np.concatenate([part.faces.astype(np.int64) + s for part, s in zip(mesh.parts, starts, strict=True)])
+    return stacked((part.vertices, part.faces) for part in mesh.parts)[1]
 
 
 def stands(vertices: Float64, centres: Iterable[Float64], *, contact: float) -> bool:

@@ -12,6 +12,7 @@ from multilight.scenes.materials.emission import emission_of
 from multilight.scenes.materials.textured import pick_texture, textured
 from multilight.scenes.meshes import Mesh
 from multilight.scenes.spec import Material, Texture
+from multilight.scenes.streams import weighted_pick
 
 GLOW = "glow"
 """Name of the material of a part that is meant to shine: the mark by which rigs find it."""
@@ -119,7 +120,7 @@ def _varied_glass(rng: np.random.Generator, material: Material) -> Material:
 
 def _refinished(rng: np.random.Generator, library: AssetLibrary, info: AssetInfo, has_uv: bool) -> Material:
     """Give a plain grey part a finish and a colour."""
-    finish = str(rng.choice(list(_REFINISHES), p=list(_REFINISHES.values())))
+    finish = weighted_pick(rng, _REFINISHES)
     if info.category in _GLASSWARE and rng.random() < 0.5:
         return sample_material(rng, str(rng.choice(("glass", "glass", "tinted glass", "frosted glass"))))
     texture = pick_texture(rng, library, frozenset({"wood"}), laid=False) if finish == "wood" and has_uv else None

@@ -12,11 +12,11 @@ from typing import Literal
 
 import numpy as np
 
-from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.assets.library import AssetLibrary
-from multilight.scenes.meshes import Mesh
+from multilight.scenes.meshes import Mesh, triangle_areas
 from multilight.scenes.spec import Texture
+from multilight.scenes.streams import log_uniform
 
 
 @dataclass(frozen=True)
@@ -80,9 +80,7 @@ def emission_of(info: AssetInfo) -> Emission:
 
 def part_area(mesh: Mesh, part: int) -> float:
     """Return the area [m²] of a mesh part, one side."""
-    vertices: Float64 = mesh.parts[part].vertices.astype(np.float64)
-    a, b, c = np.moveaxis(vertices[mesh.parts[part].faces], 1, 0)
-    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+    return float(triangle_areas(mesh.parts[part].triangles().astype(np.float64)).sum())
 
 
 def sample_glow(
@@ -94,7 +92,7 @@ def sample_glow(
     is the body's uniform scale. Values are drawn evenly in their logarithm.
     """
     emission = emission_of(info)
-    value = float(np.exp(rng.uniform(np.log(emission.low), np.log(emission.high))))
+    value = log_uniform(rng, emission.low, emission.high)
     if emission.quantity == "lumens":
         value /= np.pi * part_area(library.mesh(info.id), part) * scale**2
     kelvin = float(rng.uniform(*emission.kelvin))

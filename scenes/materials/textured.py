@@ -6,7 +6,7 @@ from multilight.scenes.assets.derived_maps import MEAN_ROUGHNESS
 from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.materials.classes import sample_material
-from multilight.scenes.meshes import MeshPart
+from multilight.scenes.meshes import MeshPart, triangle_areas
 from multilight.scenes.spec import Material, Texture
 
 _LAID = ("board", "floor", "parquet", "plank")
@@ -53,9 +53,8 @@ def pick_texture(
 
 def metres_per_uv(part: MeshPart) -> float | None:
     """Return the length [m] on the surface of one unit of uv, averaged over a part; None where it has no uv."""
-    a, b, c = np.moveaxis(part.vertices[part.faces].astype(np.float64), 1, 0)
     p, q, r = np.moveaxis(part.uv[part.faces].astype(np.float64), 1, 0)
-    surface = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
+    surface = 2.0 * triangle_areas(part.triangles().astype(np.float64)).sum()
     u, v = q - p, r - p
     chart = np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]).sum()
     return float(np.sqrt(surface / chart)) if chart > 1e-6 * surface else None

@@ -16,6 +16,8 @@ from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from multilight.scenes.arrays import Float64
 from multilight.scenes.geometry.solids import Placed, Solid
+from multilight.scenes.meshes import stacked, triangle_crosses
+from multilight.scenes.poses import apply_pose, pose_of
 
 CELL = 0.004
 """Grid [m] of the height field."""
@@ -93,15 +95,12 @@ def height_field(fixed: Sequence[Placed], region: Region) -> tuple[Float64, floa
     count = 2 * int(np.ceil(region.half / CELL)) + 1
     line = np.linspace(-region.half, region.half, count)
     x, y = np.meshgrid(region.centre[0] + line, region.centre[1] + line)
-    pieces = [(p.solid.vertices @ p.pose[:3, :3].T + p.pose[:3, 3], p.solid.faces) for p in fixed]
-    starts = np.cumsum([0] + [len(vertices) for vertices, _ in pieces[:-1]])
-    faces = np.concatenate([faces + start for (_, faces), start in zip(pieces, starts, strict=True)])
-    scene = Trimesh(np.concatenate([vertices for vertices, _ in pieces]), faces, process=False)
+    pieces = stacked((apply_pose(p.pose, p.solid.vertices), p.solid.faces) for p in fixed)
+    scene = Trimesh(*pieces, process=False)
     top = float(scene.bounds[1, 2]) + 0.1
     origins = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, top)])
     face = RayMeshIntersector(scene).intersects_first(origins, np.tile([0.0, 0.0, -1.0], (x.size, 1)))
-    a, b, c = np.moveaxis(scene.triangles[face], 1, 0)
-    normal = np.cross(b - a, c - a)
+    a, normal = scene.triangles[face, 0], triangle_crosses(scene.triangles[face])
     slope = np.where(np.abs(normal[:, 2]) > 1e-15, normal[:, 2], 1.0)
     z = a[:, 2] - ((origins - a)[:, :2] * normal[:, :2]).sum(axis=1) / slope
     corners = scene.triangles[face, :, 2]
@@ -170,7 +169,4 @@ def convex_pieces(mover: Solid, most: int = 12) -> list[Float64]:
 
 def _pose(state: Float64) -> Float64:
     """Turn MuJoCo's position and quaternion (w first) into a matrix."""
-    pose = np.eye(4)
-    pose[:3, 3] = state[:3]
-    pose[:3, :3] = Rotation.from_quat(np.roll(state[3:], -1)).as_matrix()
-    return pose
+    return pose_of(Rotation.from_quat(np.roll(state[3:], -1)).as_matrix(), state[:3])

@@ -13,7 +13,8 @@ from multilight.datagen.storage.index import COLUMNS, index_row, index_table
 from multilight.datagen.storage.source import open_dataset, select
 from multilight.lights.photometry.angular_size import angular_diameter
 from multilight.lights.spec import AreaLight, EmissiveLight, EnvironmentLight, PointLight, SunLight
-from multilight.scenes.cameras.pinhole import look_at, matrix4
+from multilight.scenes.cameras.pinhole import look_at
+from multilight.scenes.poses import matrix4
 
 ROWS = pl.DataFrame(
     {

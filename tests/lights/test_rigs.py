@@ -23,10 +23,11 @@ from multilight.lights.spec import (
     SunLight,
 )
 from multilight.scenes.assets.library import AssetLibrary
-from multilight.scenes.cameras.pinhole import look_at, matrix4
+from multilight.scenes.cameras.pinhole import look_at
 from multilight.scenes.colour import luminance
 from multilight.scenes.kinds.spheres import sample_spheres
 from multilight.scenes.kinds.tabletop import sample_tabletop
+from multilight.scenes.poses import matrix4
 from multilight.scenes.spec import SceneSpec
 from multilight.scenes.still_life.sample import StillLifeSettings
 from multilight.scenes.still_life.setting import emissive_candidate

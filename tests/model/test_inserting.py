@@ -33,8 +33,9 @@ from multilight.model.inference.pictures import read_picture
 from multilight.model.networks.checkpoint import save_network
 from multilight.model.networks.compositing2d import Compositing2D
 from multilight.model.networks.compositing3d import Compositing3D
-from multilight.scenes.cameras.pinhole import camera_from_fov, look_at, matrix4, project, unproject
+from multilight.scenes.cameras.pinhole import camera_from_fov, look_at, project, unproject
 from multilight.scenes.gaussians.ply import read_gaussians
+from multilight.scenes.poses import matrix4
 from multilight.scenes.spec import Camera, Rectangle, Sphere
 
 pytest.importorskip("pycolmap")

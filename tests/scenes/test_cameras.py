@@ -25,7 +25,6 @@ from multilight.scenes.cameras.pinhole import (
     circle_of_confusion,
     focal_length_mm,
     look_at,
-    matrix4,
     opencv_from_opengl,
     pixel_rays,
     project,
@@ -39,6 +38,7 @@ from multilight.scenes.cameras.trajectory import SEEN, in_frame
 from multilight.scenes.geometry.rays import SceneRays, body_triangles, surface_points
 from multilight.scenes.kinds.spheres import sample_spheres
 from multilight.scenes.kinds.tabletop import sample_tabletop
+from multilight.scenes.poses import matrix4
 from multilight.scenes.spec import Body, Camera, Material, SceneSpec, Sphere
 from multilight.scenes.still_life.sample import StillLifeSettings
 from multilight.scenes.streams import Streams

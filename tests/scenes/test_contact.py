@@ -9,12 +9,12 @@ from trimesh.creation import box, cylinder, icosphere
 
 from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.library import AssetLibrary
-from multilight.scenes.cameras.pinhole import matrix4
 from multilight.scenes.geometry.contact import check_contacts
 from multilight.scenes.geometry.overlap import depth, gap, touching, way_out
 from multilight.scenes.geometry.solids import Placed, Solid
 from multilight.scenes.kinds.tabletop import sample_tabletop
 from multilight.scenes.meshes import Mesh
+from multilight.scenes.poses import matrix4
 from multilight.scenes.spec import Body, Geometry, Material, MeshAsset, Rectangle, Role, Sphere
 from multilight.scenes.still_life.sample import StillLifeSettings
 from multilight.scenes.streams import Streams

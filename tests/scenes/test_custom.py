@@ -21,9 +21,9 @@ from multilight.lights.photometry.radiometry import LUMINOUS_EFFICACY
 from multilight.lights.rigs.custom import custom_lights
 from multilight.lights.spec import AreaLight, EmissiveLight, EnvironmentLight, Light, PointLight, SpotLight, SunLight
 from multilight.scenes.assets.library import AssetError, AssetLibrary
-from multilight.scenes.cameras.pinhole import matrix4
 from multilight.scenes.geometry.contact import check_contacts
 from multilight.scenes.kinds.custom import background_bodies, find_places, sample_custom
+from multilight.scenes.poses import matrix4
 from multilight.scenes.spec import Camera, SceneSpec
 from multilight.scenes.still_life.sample import StillLifeSettings
 from multilight.scenes.streams import Streams

@@ -9,13 +9,13 @@ import pytest
 from trimesh.creation import box, cylinder, icosphere
 
 from multilight.scenes.assets.library import AssetLibrary
-from multilight.scenes.cameras.pinhole import matrix4
 from multilight.scenes.geometry.contact import check_contacts, support_of
 from multilight.scenes.geometry.overlap import depth, touching
 from multilight.scenes.geometry.solids import Placed, Solid
 from multilight.scenes.kinds.tabletop import sample_tabletop
 from multilight.scenes.physics.fall import Region, convex_pieces, height_field
 from multilight.scenes.physics.settle import lowered, settle, stack
+from multilight.scenes.poses import matrix4
 from multilight.scenes.spec import Body, Material, Rectangle
 from multilight.scenes.still_life.piles import KINDS, Pile, PileKind, sample_pile
 from multilight.scenes.still_life.placement import PlacementError

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from multilight.scenes.arrays import Float64, Int64
+from multilight.scenes.meshes import stacked, triangle_crosses
 
 SEAM = 0.1
 """The circumference of a lathe is rounded to a multiple of this [m]: textures of that size (or a part) meet."""
@@ -38,10 +39,8 @@ class Surface:
 
 def merge(surfaces: Sequence[Surface]) -> Surface:
     """Join surfaces into one."""
-    starts = np.cumsum([0] + [len(s.vertices) for s in surfaces[:-1]])
     return Surface(
-        np.concatenate([s.vertices for s in surfaces]),
-        np.concatenate([s.faces + start for s, start in zip(surfaces, starts, strict=True)]),
+        *stacked((s.vertices, s.faces) for s in surfaces),
         np.concatenate([s.normals for s in surfaces]),
         np.concatenate([s.uv for s in surfaces]),
     )
@@ -73,8 +72,7 @@ def from_grid(points: Float64, normals: Float64, uv: Float64) -> Surface:
     a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
     faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
     flat, flat_normals = points.reshape(-1, 3), normals.reshape(-1, 3)
-    corners = flat[faces]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    cross = triangle_crosses(flat[faces])
     inward = np.einsum("fi,fi->f", cross, flat_normals[faces].sum(axis=1)) < 0
     faces[inward] = faces[inward][:, ::-1]
     return Surface(flat, faces[np.linalg.norm(cross, axis=1) > 1e-12], flat_normals, uv.reshape(-1, 2))

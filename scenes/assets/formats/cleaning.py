@@ -7,7 +7,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from multilight.scenes.arrays import Float64, Int64, Mask
-from multilight.scenes.meshes import Mesh, MeshPart
+from multilight.scenes.meshes import Mesh, MeshPart, triangle_areas, triangle_crosses
 from multilight.scenes.spec import Material
 
 Z_UP_FROM_Y_UP = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
@@ -79,7 +79,7 @@ def _clean(part: RawPart, size: float, turn_out: bool) -> MeshPart | None:
     welded_faces = corner[faces]
     normals = part.normals if _usable(part.normals, faces) else None
     if normals is not None:
-        cross = _cross(part.vertices, faces)
+        cross = triangle_crosses(part.vertices[faces])
         against = np.einsum("fi,fi->f", cross, normals[faces].sum(axis=1)) < 0
     else:
         against = np.zeros(len(faces), dtype=bool)
@@ -105,17 +105,13 @@ def _weld(vertices: Float64, tolerance: float) -> tuple[Float64, Int64]:
     return vertices[first], inverse.reshape(-1)
 
 
-def _cross(vertices: Float64, faces: Int64) -> Float64:
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    return np.cross(b - a, c - a)
-
-
 def _sound(vertices: Float64, faces: Int64, corner: Int64) -> tuple[Int64, Int64]:
     """Keep faces with three different corners and an area, and the first of those with the same corners."""
     places = np.sort(corner[faces], axis=1)
     solid = (np.diff(places, axis=1) > 0).all(axis=1)
-    longest = np.ptp(vertices[faces], axis=1).max(axis=1)
-    solid &= np.linalg.norm(_cross(vertices, faces), axis=1) > 1e-9 * longest**2
+    triangles = vertices[faces]
+    longest = np.ptp(triangles, axis=1).max(axis=1)
+    solid &= np.linalg.norm(triangle_crosses(triangles), axis=1) > 1e-9 * longest**2
     kept = np.flatnonzero(solid)
     _, first = np.unique(places[kept], axis=0, return_index=True)
     kept = kept[np.sort(first)]
@@ -140,15 +136,16 @@ def _inside_out(places: Float64, faces: Int64) -> Mask:
     weight = np.maximum(np.bincount(piece, minlength=pieces), 1)
     middle = places[faces].mean(axis=1)
     centre = np.stack([np.bincount(piece, middle[:, i], pieces) / weight for i in range(3)], -1)
-    a, b, c = (places[faces[:, i]] - centre[piece] for i in range(3))
+    triangles = places[faces] - centre[piece][:, None]
+    a, b, c = np.moveaxis(triangles, 1, 0)
     volume = np.bincount(piece, np.einsum("fi,fi->f", a, np.cross(b, c)) / 6, pieces)
-    area = np.bincount(piece, np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2, pieces)
+    area = np.bincount(piece, triangle_areas(triangles), pieces)
     return (volume < -0.01 * np.maximum(area, 1e-30) ** 1.5)[piece]
 
 
 def _crease_normals(vertices: Float64, faces: Int64, places: Int64) -> Float64:
     """Average, for each corner, the normals of the faces around its place that bend less than `CREASE`, (F, 3, 3)."""
-    cross = _cross(vertices, faces)
+    cross = triangle_crosses(vertices[faces])
     unit = cross / np.linalg.norm(cross, axis=1, keepdims=True)
     flat = places.ravel()
     order = np.argsort(flat, kind="stable")

@@ -17,10 +17,10 @@ from multilight.scenes.assets.formats.cleaning import Z_UP_FROM_Y_UP, RawPart
 from multilight.scenes.assets.formats.mtl import linear, part_name
 from multilight.scenes.assets.formats.scene_file import Emission, FoundLight, Imported, KeepImage, Node
 from multilight.scenes.assets.info import AssetError
-from multilight.scenes.cameras.pinhole import matrix4
 from multilight.scenes.files.inside import OutsideError, inside
 from multilight.scenes.files.limits import parse_json
 from multilight.scenes.frozen import Rgb
+from multilight.scenes.poses import matrix4, pose_of
 from multilight.scenes.spec import Material
 
 LIGHTS_KEY = "multilight_lights"
@@ -176,9 +176,7 @@ def _lights(header: Header) -> Iterator[FoundLight]:
 def _light(light: Header, name: str | None, matrix: Float64) -> FoundLight:
     """Translate a punctual light; it shines along -Z of its node, as ours do."""
     turn = Z_UP_FROM_Y_UP @ matrix[:3, :3]
-    pose = np.eye(4)
-    pose[:3, :3] = turn / np.linalg.norm(turn, axis=0)
-    pose[:3, 3] = Z_UP_FROM_Y_UP @ matrix[:3, 3]
+    pose = pose_of(turn / np.linalg.norm(turn, axis=0), Z_UP_FROM_Y_UP @ matrix[:3, 3])
     about: dict[str, Any] = {
         "name": str(name or light.get("name") or "light"),
         "amount": _rgb(light.get("color", (1, 1, 1)), float(light.get("intensity", 1.0))),
@@ -211,7 +209,5 @@ def _local(node: Header) -> Float64:
     """Return a node's own matrix (4, 4)."""
     if "matrix" in node:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
-    matrix = np.eye(4)
-    matrix[:3, :3] = Rotation.from_quat(node.get("rotation", (0, 0, 0, 1))).as_matrix() * node.get("scale", (1, 1, 1))
-    matrix[:3, 3] = node.get("translation", (0, 0, 0))
-    return matrix
+    turn = Rotation.from_quat(node.get("rotation", (0, 0, 0, 1))).as_matrix()
+    return pose_of(turn * node.get("scale", (1, 1, 1)), node.get("translation", (0, 0, 0)))

@@ -24,10 +24,11 @@ from multilight.scenes.assets.formats.cleaning import RawPart, clean_mesh, exten
 from multilight.scenes.assets.formats.mtl import part_name
 from multilight.scenes.assets.formats.scene_file import FoundLight, Imported, Node, image_digest
 from multilight.scenes.assets.info import AssetError, AssetInfo
-from multilight.scenes.cameras.pinhole import matrix4
 from multilight.scenes.files.inside import OutsideError, inside
 from multilight.scenes.frozen import Frozen, Matrix4, Slug
 from multilight.scenes.meshes import Mesh, MeshPart, load_mesh, save_mesh
+from multilight.scenes.names import free_name
+from multilight.scenes.poses import matrix4, translation
 from multilight.scenes.spec import Material, Texture
 
 T = TypeVar("T")
@@ -218,7 +219,7 @@ def _converted(file: Path, found: Imported, work: Path) -> _Index:
         ordered = [*ordered[: MOST_NODES - 1], _merged(ordered[MOST_NODES - 1 :])]
     pieces, lights, taken = [], list(found.lights), set[str]()
     for node in ordered:
-        name = _slug(node.name, taken)
+        name = free_name(node.name, taken, prefix="bg_", otherwise="node")
         written = _write_piece(node, name, work)
         if written is not None:
             taken.add(name)
@@ -256,8 +257,7 @@ def _write_piece(node: Node, name: str, work: Path) -> tuple[Piece, list[FoundLi
     kept = [int(part.name) for part in mesh.parts]
     parts = tuple(_named(part, node.parts[i].material) for i, part in zip(kept, mesh.parts, strict=True))
     save_mesh(Mesh(parts), work / f"{name}.npz")
-    pose = np.eye(4)
-    pose[:3, 3] = [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]]
+    pose = translation([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
     x, y, z = (round(float(v), 5) for v in high - low)
     lights = [
         FoundLight(kind="emissive", name=name, amount=e.amount, unit=e.unit, node=name, part=number, texture=e.texture)
@@ -271,14 +271,3 @@ def _named(part: MeshPart, material: Material) -> MeshPart:
     """Give a part its material back, under a name that no rule for materials knows."""
     own = material.model_copy(update={"name": part_name(f"bg-{material.name}")})
     return replace(part, name=own.name, material=own)
-
-
-def _slug(text: str, taken: set[str]) -> str:
-    """Make a name that a body may bear and that is not taken."""
-    plain = re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_")[:30]
-    plain = plain if plain[:1].isalpha() else f"node_{plain}".rstrip("_")
-    plain = f"bg_{plain}"
-    name, number = plain, 2
-    while name in taken:
-        name, number = f"{plain}_{number}", number + 1
-    return name

@@ -27,6 +27,7 @@ from multilight.scenes.assets.formats.scene_file import image_digest
 from multilight.scenes.assets.info import AssetError, AssetInfo
 from multilight.scenes.files.inside import OutsideError, held, plain_name
 from multilight.scenes.meshes import Mesh
+from multilight.scenes.names import slug
 from multilight.scenes.spec import Texture
 
 SUFFIXES = (".glb", ".gltf", ".obj")
@@ -166,14 +167,14 @@ class FolderPack:
         raise AssetError(f"{self.name}/{name} is not an environment map")
 
 
-def _slug(text: str) -> str:
-    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-") or "folder"
+def _name(text: str) -> str:
+    return slug(text, "-") or "folder"
 
 
 def _scan(folder: Path) -> list[_Entry]:
     files = sorted(path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES and path.is_file())
     relative = [path.relative_to(folder) for path in files]
-    return [_Entry(_slug(str(path.with_suffix(""))), str(path)) for path in relative]
+    return [_Entry(_name(str(path.with_suffix(""))), str(path)) for path in relative]
 
 
 def _read_table(table: Path) -> list[_Entry]:
@@ -209,7 +210,7 @@ def _entry(row: dict[str, str], where: str) -> _Entry:
     if row.get("role", "object") not in ("object", "table"):
         raise AssetError(f"{where}: role {row['role']!r} must be object or table")
     return _Entry(
-        name=_slug(row.get("id", str(file.with_suffix("")))),
+        name=_name(row.get("id", str(file.with_suffix("")))),
         file=str(file),
         role=row.get("role", "object"),
         category=row.get("category", "object"),

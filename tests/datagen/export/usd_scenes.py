@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 
 from multilight.datagen.storage.records import AssetCredit, SceneRecord
-from multilight.lights.photometry.directions import direction_from
 from multilight.lights.photometry.ies import luminaire
 from multilight.lights.spec import (
     AreaLight,
@@ -21,7 +20,8 @@ from multilight.lights.spec import (
 )
 from multilight.scenes.arrays import Float32, Float64
 from multilight.scenes.assets.library import AssetLibrary
-from multilight.scenes.cameras.pinhole import camera_from_fov, look_at, matrix4
+from multilight.scenes.cameras.pinhole import camera_from_fov, look_at
+from multilight.scenes.poses import direction_from, matrix4
 from multilight.scenes.spec import Body, Camera, Material, MeshAsset, Rectangle, SceneSpec, Sphere, Texture
 from tests import ROOT
 

@@ -19,8 +19,8 @@ from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.formats.scene_file import FoundLight
 from multilight.scenes.assets.formats.usd.materials import inputs_of, open_picture, resolved_file, rgb_of
 from multilight.scenes.assets.info import AssetError
-from multilight.scenes.cameras.pinhole import matrix4
 from multilight.scenes.colour import srgb_decode
+from multilight.scenes.poses import matrix4, pose_of
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,7 @@ class LightReader:
     def read(self, prim: Any, matrix: Float64) -> FoundLight:
         """Translate a light placed by `matrix` (4, 4), world from light; raises `AssetError` for other kinds."""
         stretch = np.linalg.norm(matrix[:3, :3], axis=0)
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = matrix[:3, :3] / stretch, matrix[:3, 3]
+        pose = pose_of(matrix[:3, :3] / stretch, matrix[:3, 3])
         value = inputs_of(UsdLux.LightAPI(prim))
         level = float(value("intensity", 1.0)) * 2.0 ** float(value("exposure", 0.0))
         colour = np.array(value("color", (1.0, 1.0, 1.0)), np.float64)

@@ -17,6 +17,7 @@ from multilight.scenes.assets.formats.usd.shapes import SHAPES, read_shape
 from multilight.scenes.assets.info import AssetError
 from multilight.scenes.files.inside import OutsideError, held
 from multilight.scenes.files.limits import MOST_NODES, LimitError, check_file
+from multilight.scenes.poses import apply_pose, pose_of
 from multilight.scenes.spec import Material, Texture
 
 
@@ -57,9 +58,7 @@ def _check_layers(path: Path) -> None:
 def world_from_stage(stage: Any) -> Float64:
     """Return what takes a stage's axes and units to metres, Z-up: (4, 4)."""
     up = Z_UP_FROM_Y_UP if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y else np.eye(3)
-    world = np.eye(4)
-    world[:3, :3] = up * float(UsdGeom.GetStageMetersPerUnit(stage))
-    return world
+    return pose_of(up * float(UsdGeom.GetStageMetersPerUnit(stage)), np.zeros(3))
 
 
 def read_usd(path: Path, keep: KeepImage, folder: Path) -> Imported:
@@ -118,7 +117,7 @@ class _Reader:
         matrix = self._matrix(prim)
         if abs(np.linalg.det(matrix[:3, :3])) < 1e-18:
             return None
-        points = shape.points @ matrix[:3, :3].T + matrix[:3, 3]
+        points = apply_pose(matrix, shape.points)
         normals = None if shape.normals is None else shape.normals @ np.linalg.inv(matrix[:3, :3])
         order = [2, 1, 0] if np.linalg.det(matrix[:3, :3]) < 0 else [0, 1, 2]
         parts, emissions = [], []
