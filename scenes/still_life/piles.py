@@ -17,7 +17,7 @@ from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.assets.library import AssetError, AssetLibrary
 from multilight.scenes.geometry.overlap import boxes_meet, gap
 from multilight.scenes.geometry.solids import Placed, Solid
-from multilight.scenes.geometry.support_surfaces import convex_polygon, stacked_faces
+from multilight.scenes.geometry.support_surfaces import as_trimesh, convex_polygon, stacked_faces
 from multilight.scenes.materials import body_materials
 from multilight.scenes.meshes import Mesh
 from multilight.scenes.names import free_name
@@ -209,7 +209,7 @@ def _within(settled: Settled, radius: float) -> Settled:
 
 def _is_hollow(mesh: Mesh) -> bool:
     """Tell whether a vessel is open: seen from above its centre lies low."""
-    solid = Trimesh(mesh.vertices(), stacked_faces(mesh), process=False)
+    solid = as_trimesh(mesh)
     height = float(solid.bounds[1, 2])
     (face,) = solid.ray.intersects_first([[0.0003, 0.0002, height + 0.1]], [[0.0, 0.0, -1.0]])
     return bool(face >= 0 and solid.triangles[face, :, 2].max() < 0.5 * height)

@@ -9,13 +9,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from trimesh import Trimesh
 from trimesh.collision import CollisionManager
 
 from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.info import AssetInfo, AssetRole
 from multilight.scenes.assets.library import AssetError, AssetLibrary
-from multilight.scenes.geometry.support_surfaces import convex_polygon, stacked_faces
+from multilight.scenes.geometry.support_surfaces import as_trimesh, convex_polygon
 from multilight.scenes.kinds.rooms.finish import Palette, furniture_materials
 from multilight.scenes.kinds.rooms.footing import footing_of, hangs, shelves_of
 from multilight.scenes.kinds.rooms.shell import DOOR_ZONE, SKIRTING, Shell, Wall
@@ -255,15 +254,14 @@ class Plan:
         """Tell whether the convex hull of a piece, grown a little, keeps off the triangles of another body."""
         probe = self._probes.get(piece.info.id)
         if probe is None:
-            hull = Trimesh(piece.mesh.vertices(), stacked_faces(piece.mesh), process=False).convex_hull
+            hull = as_trimesh(piece.mesh).convex_hull
             hull.apply_transform(np.diag([*GROWN, 1.0]))
             probe = self._probes[piece.info.id] = CollisionManager()
             probe.add_object("piece", hull)
         solid = self._solids.get(other.name)
         if solid is None:
-            mesh = other.piece.mesh
             solid = self._solids[other.name] = CollisionManager()
-            solid.add_object("body", Trimesh(mesh.vertices(), stacked_faces(mesh), process=False), other.pose)
+            solid.add_object("body", as_trimesh(other.piece.mesh), other.pose)
         probe.set_transform("piece", pose)
         return not probe.in_collision_other(solid)
 
