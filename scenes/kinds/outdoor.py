@@ -9,8 +9,8 @@ from multilight.scenes.poses import translation
 from multilight.scenes.spec import Body, Material, SceneSpec
 from multilight.scenes.still_life.placement import PlacementError, Standing
 from multilight.scenes.still_life.planes import level_pose, plane, upright_pose
-from multilight.scenes.still_life.sample import Choice, StillLifeSettings, Wanted, sample_still_life
-from multilight.scenes.still_life.selection import draw_by_category, draw_standing, unused
+from multilight.scenes.still_life.sample import StillLifeSettings, sample_still_life
+from multilight.scenes.still_life.selection import Choice, Wanted, draw_by_category, draw_standing, unused
 from multilight.scenes.still_life.setting import Setting, flat_surface
 from multilight.scenes.streams import Streams, weighted_pick
 
@@ -20,26 +20,16 @@ GROUNDS = {"grass": 0.3, "gravel": 0.15, "paving": 0.2, "asphalt": 0.15, "sand":
 """What the still life stands on, and how often."""
 AROUND = {"paving": ("grass", "gravel"), "deck": ("grass", "gravel", "sand"), "gravel": ("grass",)}
 """What lies round a patio of that."""
-PATIO = 0.5
-"""Probability that a ground that may be a patio is one."""
-LONGEST = (0.10, 0.62)
-"""Longest side [m] of the objects."""
-INSERTABLE = 0.14
-"""Longest side [m] of insertable objects, at least."""
-THIN = 0.06
-"""Their second longest side is at least this long [m]."""
-PIECES = (0.3, 1.6)
-"""Longest side [m] of garden furniture and planters."""
-MOST = 7
-"""Objects of a still life on open ground, at most."""
-STRETCH = 6.0
-"""Side [m] of the part of an open ground on which things may stand."""
-PATIO_SIDE, PATIO_STEP, PATIO_EDGE = (4.5, 9.0), (0.02, 0.06), 0.1
-"""Sides of a patio, how high it lies above what is around, and what is left free at its edges in all [m]."""
-GLOWING_INSERTED = 0.85
-"""Probability that an object that glows is an insertable one."""
-AS_IT_COMES = 0.6
-"""Probability that an object keeps its own resting pose, besides its turn among them."""
+LONGEST, INSERTABLE = (0.10, 0.62), 0.14
+"""Longest side [m] of the objects, and of insertable ones at least."""
+# Measures of open ground and what is on it [m], and how often [probability].
+THIN, PIECES = 0.06, (0.3, 1.6)  # second longest side of insertable objects, at least; longest of garden furniture
+MOST = 7  # objects
+STRETCH = 6.0  # side of the part of a ground on which things may stand
+PATIO, PATIO_SIDE, PATIO_STEP = 0.5, (4.5, 9.0), (0.02, 0.06)  # a ground that may be a patio is one; sides; height
+PATIO_EDGE = 0.1  # left free, on both edges together
+GLOWING_INSERTED = 0.85  # an object that glows is an insertable one
+AS_IT_COMES = 0.6  # an object keeps its own resting pose, besides its turn among them
 FURNITURE = frozenset({"bench", "chair", "floor_plant", "planter", "stool"})
 _THINGS = frozenset(
     {

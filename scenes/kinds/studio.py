@@ -20,23 +20,15 @@ from multilight.scenes.streams import Streams, pick, weighted_pick
 StudioKind = Literal["cyclorama", "roll", "table"]
 PROBABILITIES: dict[StudioKind, float] = {"cyclorama": 0.3, "roll": 0.3, "table": 0.4}
 """How often the backdrop is a wide cove, a paper roll on a stand, a product table."""
-PLINTHS = 0.45
-"""Probability of plinths."""
-RAISED = (0.3, 0.8)
-"""Fraction of the objects that stand on one, where there are any."""
 LENS_MM = (35.0, 85.0)
-MOST = 6
-"""Objects at most: a set of wares, not a crowd."""
-WALL_HEIGHT, ROOM = 4.3, 12.0
-"""Height of the studio and its depth [m]; of an open one only a part is seen."""
-ASIDE, ASIDE_CLOSED = (3.0, 5.0), 5.5
-"""Distance [m] of the side walls to the midline: clear of cameras, and of those that mirrors show."""
-BEFORE_BEND = 0.3
-"""Distance [m] of wares to the bend of a sweep, so that their shadows fall on paper."""
-BEFORE_SWEEP, BEFORE_TABLE = 0.6, 0.55
-"""Angle [rad] to each side of the front within which cameras see paper behind the wares."""
-LIFT = 0.0003
-"""Air [m] below the paper, so that no two surfaces coincide."""
+# Measures of studios [m, rad], and how often they have what [probability].
+PLINTHS, RAISED = 0.45, (0.3, 0.8)  # scenes with plinths; fraction of their objects that stand on one
+MOST = 6  # objects: a set of wares, not a crowd
+WALL_HEIGHT, ROOM = 4.3, 12.0  # height and depth of the studio
+ASIDE, ASIDE_CLOSED = (3.0, 5.0), 5.5  # side walls to the midline: clear of cameras, and where a mirror shows them
+BEFORE_BEND = 0.3  # wares to the bend of a sweep, so that their shadows fall on paper
+BEFORE_SWEEP, BEFORE_TABLE = 0.6, 0.55  # half the angle in which there is paper behind the wares
+LIFT = 0.0003  # air below the paper, so that no two surfaces coincide
 _PAPERS = (
     "f6f5f2", "f6f5f2", "e4e2de", "b9bbbd", "7d7f82", "4a4b4e", "2b2b2d", "e6d8c4", "c9d5d0", "7fa0ad", "d8aea4",
     "97a289", "ecd6a6", "b5402f", "1f4e79", "e0a32e", "2f6b4f", "6a4a7d",

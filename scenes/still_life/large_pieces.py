@@ -7,16 +7,11 @@ from multilight.scenes.arrays import Float64
 from multilight.scenes.poses import box_centre, pose_at
 from multilight.scenes.still_life.placement import Arrangement, PlacementError, Stage, Standing
 
-GAP = 0.05
-"""Smallest distance [m] between the convex hulls of a piece and of anything else."""
-SWING = 1.4
-"""How far [rad] from straight behind the still life a piece may stand, seen from its centre."""
-FACING = 0.7
-"""Deviation [rad] of a piece's front from the still life: as if somebody had just put the things down there."""
-SPARE = 0.12
-"""Mean distance [m] by which a piece stands further off than it must."""
-DISTANCES = np.arange(0.15, 2.0, 0.05)
-"""Distances [m] from the centre that are tried, outwards."""
+# How large pieces stand [m, rad].
+GAP = 0.05  # smallest distance between the convex hulls of a piece and of anything else
+SWING = 1.4  # from straight behind the still life, seen from its centre
+FACING = 0.7  # deviation of a piece's front from the still life: as if somebody had just put the things down there
+DISTANCES, SPARE = np.arange(0.15, 2.0, 0.05), 0.12  # from the centre, outwards; further off than it must, on average
 TRIES = 24
 
 

@@ -39,21 +39,15 @@ _NESTED: dict[PileKind, frozenset[str]] = {
     "bowls": frozenset({"bowl"}),
     "cups": frozenset({"cup", "tumbler"}),
 }
-_NESTS = 0.7
-"""Things stack well that rise by less than this fraction of their height each."""
-TALLEST = 0.45
-"""Sum of the heights [m] of nested crockery, before it goes into each other."""
-FEWEST = 3
-"""Things that make a pile."""
-_FILL = 0.75
-"""Fraction of a bowl's space, up to its rim, that its contents take."""
-_HOLLOW = 0.55
-"""A bowl's space against the box about it: half of an ellipsoid fills 0.52 of it."""
-_POURED = 0.5 * 1.7
-"""Space that a fruit takes against the box about it: a ball fills half of it, and loose balls 1.7 times their own."""
+FEWEST, TALLEST = 3, 0.45
+"""Things that make a pile; sum of the heights [m] of nested crockery, before it goes into each other."""
+# Fractions, and distances [m].
+_NESTS = 0.7  # things stack well that rise by less of their height each
+_FILL = 0.75  # of a bowl's space, up to its rim, that its contents take
+_HOLLOW = 0.55  # of the box about a bowl that is space: half of an ellipsoid is 0.52
+_POURED = 0.5 * 1.7  # of the box about a fruit: a ball fills half of it, loose balls take 1.7 times their own
 _MOST_FRUIT = 9
-_ON_TOP = 1e-3
-"""Bodies closer than this [m] touch."""
+_ON_TOP = 1e-3  # bodies closer than this touch
 
 
 @dataclass(frozen=True)

@@ -17,22 +17,15 @@ from multilight.scenes.poses import about_z, pose_of
 
 CONTACT = 6e-4
 """Vertices this close [m] to the lowest one carry the object: less than what counts as contact (`geometry.contact`)."""
-TIPPING, TIPS = np.radians(6.0), 16
-"""How far [rad] something may tip to find its rest, and on how many faces it tries."""
-GAP = 0.004
-"""Smallest distance [m] between the convex hulls of two objects."""
-EDGE = 0.015
-"""Smallest distance [m] of a footprint to the edge of the table's free surface."""
-CANDIDATES = 48
-"""Poses that are drawn for an object, of which the cheapest free one is taken."""
-NEAREST, FURTHEST = 0.01, 0.12
-"""Distance [m] of an object to the one beside which it is put: a group that one looks at together."""
-HOVER = 0.0003
-"""Air [m] below objects at most: no two surfaces coincide, and none is seen to float."""
-AVERTED, SLACK = 0.25, 0.8
-"""Probability that an object looks anywhere; the deviation [rad] of the others from facing the cameras."""
-FACET = 0.08
-"""Fraction of a block's hull that a face must have to lie on."""
+GAP, EDGE = 0.004, 0.015
+"""Smallest distance [m] between the convex hulls of two objects, and of a footprint to the edge of a free surface."""
+# How things lie [m, rad].
+TIPPING, TIPS = np.radians(6.0), 16  # how far something may tip to find its rest, on how many faces it tries
+FACET = 0.08  # fraction of a block's hull that a face must have to lie on
+CANDIDATES = 48  # poses of an object, of which the cheapest free one is taken
+NEAREST, FURTHEST = 0.01, 0.12  # from the object beside which one is put: a group that one looks at together
+HOVER = 0.0003  # air below objects at most: no two surfaces coincide, and none is seen to float
+AVERTED, SLACK = 0.25, 0.8  # objects that look anywhere [probability]; the others' deviation from the cameras
 BLOCKS = frozenset({"block", "blocks", "box", "boxes", "carton", "cube", "dice", "die"})
 """Categories whose members may lie on any face that carries them."""
 

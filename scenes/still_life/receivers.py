@@ -36,10 +36,8 @@ _INSTEAD_OF_TOPS: dict[ReceiverKind, ReceiverKind] = {
 }  # fmt: skip
 MOST_ON_PLATE = 5
 """Objects that a plate or a tray has room for."""
-BEFORE_MIRROR = 0.7
-"""Angle [rad] to each side within which cameras look into a standing mirror rather than along it."""
-LEAST_FREE = 0.16
-"""Surface [m²] that a standing mirror must leave: a square of 0.4 m, as for tables."""
+BEFORE_MIRROR, LEAST_FREE = 0.7, 0.16
+"""Half the angle [rad] in which cameras look into a standing mirror; surface [m²] that it leaves: as tables have."""
 GAP = 0.0004
 """Air [m] between a plate and what it lies on, so that no two surfaces coincide."""
 MOST_PLACES = 250

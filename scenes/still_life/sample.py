@@ -4,7 +4,6 @@ What the kinds of scene share. Each kind builds a `Setting`, all that is there b
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
@@ -24,9 +23,9 @@ from multilight.scenes.poses import apply_pose, rotated_scene
 from multilight.scenes.spec import Body, Role, SceneKind, SceneSpec
 from multilight.scenes.still_life.attempts import SceneSettings, first_success
 from multilight.scenes.still_life.large_pieces import place_large_pieces
-from multilight.scenes.still_life.placement import Standing, arrange
+from multilight.scenes.still_life.placement import arrange
 from multilight.scenes.still_life.plinths import Raised, raise_some
-from multilight.scenes.still_life.selection import choose_objects
+from multilight.scenes.still_life.selection import Choice, Wanted, choose_objects
 from multilight.scenes.still_life.setting import Setting, make_body
 from multilight.scenes.streams import Streams
 
@@ -38,9 +37,6 @@ PILED = 4
 """Attempts with a pile, where one is wanted, before the scene does without: it takes much of a small table."""
 GLOWING = 0.4
 """Probability that an object glows; in five of six such scenes it is an insertable one: a third of all."""
-
-Choice = tuple[list[Standing], list[int], int | None]
-"""Objects, the indices of the insertable ones, and the index of the one that glows."""
 
 
 class StillLifeSettings(SceneSettings):
@@ -61,30 +57,7 @@ class StillLifeSettings(SceneSettings):
         return self
 
 
-@dataclass(frozen=True)
-class Wanted:
-    """What is wanted of a still life in one attempt."""
-
-    attempt: int
-    objects: int
-    insertable: int
-    glows: bool
-    piled: bool = False
-
-
 Chooser = Callable[[np.random.Generator, AssetLibrary, Wanted, Setting], Choice]
-
-
-def choose_for_table(rng: np.random.Generator, library: AssetLibrary, wanted: Wanted, setting: Setting) -> Choice:
-    """Draw objects of table size."""
-    return choose_objects(
-        rng,
-        library,
-        count=wanted.objects,
-        insertable=wanted.insertable,
-        area=setting.surface.area,
-        glows=wanted.glows,
-    )
 
 
 def sample_still_life(
@@ -95,7 +68,7 @@ def sample_still_life(
     kind: SceneKind,
     index: int,
     settings: StillLifeSettings,
-    choose: Chooser = choose_for_table,
+    choose: Chooser = choose_objects,
 ) -> SceneSpec:
     """Draw a scene in the setting that `build` makes for each attempt.
 

@@ -1,6 +1,7 @@
 """Which table and which objects come into a scene: draws of assets by category, and of how they rest."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -9,28 +10,36 @@ from multilight.scenes.assets.library import AssetError, AssetLibrary
 from multilight.scenes.geometry.support_surfaces import SupportError, SupportSurface, find_support
 from multilight.scenes.meshes import Mesh
 from multilight.scenes.still_life.placement import PlacementError, Standing, resting_poses
+from multilight.scenes.still_life.setting import Setting
 from multilight.scenes.streams import pick
 
 SMALLEST, LARGEST = 0.02, 0.55
 """Longest side [m] of objects that may stand on a table."""
-INSERTABLE = (0.06, 0.45)
-"""Longest side [m] of insertable objects."""
-THIN = 0.03
-"""Their second longest side is at least this long [m]: pencils and spoons are clutter."""
+INSERTABLE, THIN = (0.06, 0.45), 0.03
+"""Longest side [m] of insertable objects; their second longest at least: pencils and spoons are clutter."""
 TALL, SMALL = 0.17, 0.12
 """A scene holds an object at least `TALL` [m] high and one whose longest side is at most `SMALL` [m]."""
-CROWDING = 0.35
-"""Fraction of the free surface that the objects' footprints may take."""
-LEAST_FOOTPRINT = 0.004
-"""Footprint [m²] that is set aside for each object still to come: that of a mug."""
-UNLIT = 0.2
-"""Probability that lamps and displays may stand beside the one that glows: mostly switched off."""
-GLOWING_INSERTED = 0.8
-"""Probability that an object that glows is an insertable one, where the draw of those leaves it out."""
-AS_IT_COMES = 0.5
-"""Probability that an object that could rest in several poses keeps its own, besides its turn among them."""
+CROWDING, LEAST_FOOTPRINT = 0.35, 0.004
+"""Fraction of a free surface that footprints may take; what is set aside for an object still to come [m²]: a mug's."""
+UNLIT, GLOWING_INSERTED, AS_IT_COMES = 0.2, 0.8, 0.5
+"""Probabilities that lamps and displays may stand beside the one that glows, mostly switched off; that what glows is
+insertable, where the draw leaves it out; that an object keeps its own resting pose, besides its turn among them.
+"""
 
 Size = tuple[float, float, float]
+Choice = tuple[list[Standing], list[int], int | None]
+"""Objects, the indices of the insertable ones, and the index of the one that glows."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What is wanted of a still life in one attempt."""
+
+    attempt: int
+    objects: int
+    insertable: int
+    glows: bool
+    piled: bool = False
 
 
 def draw_by_category(rng: np.random.Generator, infos: Sequence[AssetInfo], *, evenly: bool = True) -> AssetInfo:
@@ -85,15 +94,13 @@ def choose_table(rng: np.random.Generator, library: AssetLibrary) -> tuple[Asset
     raise PlacementError(f"no usable table among {len(refused)} installed; the last: {(refused or ['none'])[-1]}")
 
 
-def choose_objects(
-    rng: np.random.Generator, library: AssetLibrary, *, count: int, insertable: int, area: float, glows: bool
-) -> tuple[list[Standing], list[int], int | None]:
-    """Draw `count` different objects for a free surface of `area` [m²].
+def choose_objects(rng: np.random.Generator, library: AssetLibrary, wanted: Wanted, setting: Setting) -> Choice:
+    """Draw different objects of table size, for the free surface.
 
-    Returns the objects, the indices of the insertable ones, and the index of the one that glows (None unless
-    `glows` and an installed asset can). The first is tall, the second small, the rest whatever fits; categories
-    repeat only when they run out. Raises `PlacementError` where too few objects are installed.
+    None glows unless that is wanted and an installed asset can. The first is tall, the second small, the rest
+    whatever fits; categories repeat only when they run out. Raises `PlacementError` where too few are installed.
     """
+    count, area = wanted.objects, setting.surface.area
     left = [info for info in library.list("object") if info.size and SMALLEST <= max(info.size) <= LARGEST]
     with_unlit = rng.random() < UNLIT
     chosen: list[Standing] = []
@@ -101,13 +108,14 @@ def choose_objects(
     glowing: int | None = None
     while len(chosen) < count:
         slot = len(chosen)
-        dark = glows and glowing is None
+        dark = wanted.glows and glowing is None
         lamp = dark and slot == min(2, count - 1)
-        wanted = _candidates(left, chosen, insertable, lamp=lamp, with_unlit=with_unlit)
-        wanted = [info for info in wanted if _footprint(info) <= budget - LEAST_FOOTPRINT * (count - slot)]
-        if not wanted:
+        room = budget - LEAST_FOOTPRINT * (count - slot)
+        fitting = _candidates(left, chosen, wanted.insertable, lamp=lamp, with_unlit=with_unlit)
+        fitting = [info for info in fitting if _footprint(info) <= room]
+        if not fitting:
             raise PlacementError(f"found {slot} of {count} objects that fit {area:.2f} m²; install more")
-        info = draw_by_category(rng, wanted, evenly=False)
+        info = draw_by_category(rng, fitting, evenly=False)
         left.remove(info)
         standing = draw_standing(rng, library, info)
         if standing is None:
@@ -116,7 +124,7 @@ def choose_objects(
             glowing = slot
         chosen.append(standing)
         budget -= _footprint(info)
-    return chosen, _choose_insertable(rng, chosen, insertable, glowing), glowing
+    return chosen, _choose_insertable(rng, chosen, wanted.insertable, glowing), glowing
 
 
 def _candidates(

@@ -50,21 +50,12 @@ class Setting:
         return Stage(self.surface, pose, near[int(rng.integers(len(near)))], front)
 
 
-def make_body(
-    name: str,
-    role: Role,
-    info: AssetInfo,
-    mesh: Mesh,
-    materials: Sequence[Material],
-    pose: Float64,
-    *,
-    category: str | None = None,
-) -> Body:
-    """Make a body of a library asset, of its category unless told."""
+def make_body(name: str, role: Role, info: AssetInfo, mesh: Mesh, materials: Sequence[Material], pose: Float64) -> Body:
+    """Make a body of a library asset."""
     return Body(
         name=name,
         role=role,
-        category=category or info.category,
+        category=info.category,
         geometry=MeshAsset(asset=info.id, mesh_sha256=mesh.sha256(), parts=len(mesh.parts)),
         materials=tuple(materials),
         world_from_body=matrix4(pose),

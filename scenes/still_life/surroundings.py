@@ -20,10 +20,6 @@ from multilight.scenes.still_life.setting import make_body
 
 SurroundingKind = Literal["ground", "corner", "backdrop"]
 PROBABILITIES: dict[SurroundingKind, float] = {"ground": 0.2, "corner": 0.5, "backdrop": 0.3}
-TEXTURED_WALL = 0.45
-"""Probability that a wall shows a texture, where one is installed: most walls are painted."""
-GROUND, FLOOR = 60.0, 30.0
-"""Side [m] of a square ground, whose edge is far off, and of a room's floor, which ends behind walls."""
 _FLOORS = {
     "ground": frozenset({"wood", "concrete", "stone"}),
     "corner": frozenset({"wood", "tile", "tiles", "concrete", "carpet", "parquet", "terrazzo", "fabric", "marble"}),
@@ -33,31 +29,19 @@ _WALLS = frozenset({"plaster", "brick", "concrete", "wallpaper"})
 _PAPERS = ("f4f2ee", "d9d6d0", "a7a9ab", "58595b", "232325", "dcc9b0", "b9c7c3", "6f8a94", "c7a29a", "87917a", "e6cfa5")
 _SKIRTINGS = ("f4f1ea", "f4f1ea", "e4ddd0", "6b4a32", "3a2b21", "8b8d8f")
 
-Range = tuple[float, float]
-HEIGHT: Range = (2.5, 3.2)
-"""Height of a room [m], of a new building's to an old one's."""
-BEHIND, BEHIND_MORE = 0.03, 0.9
-"""Distance [m] of a table to the wall behind it: a hand's breadth, and what may come to that, mostly little of it."""
-BESIDE, BESIDE_MORE = 0.05, 1.3
-"""The same to the nearer wall beside it, half of it on average: one walks there."""
-OPPOSITE: Range = (1.6, 3.0)
-"""Distance [m] of the far side wall to the table: a small room to a large one."""
-SIDE_WALL: Range = (3.5, 5.0)
-"""Length [m] of the side walls: they end behind the most distant camera."""
-THREE_WALLS, ONE_PAPER = 0.4, 0.6
-"""Probabilities of a third wall, and that side walls are of one finish with the back wall."""
-BOARD: tuple[Range, Range] = ((0.01, 0.02), (0.06, 0.13))
-"""Thickness and height [m] of skirting boards, as sold."""
-BEFORE_TWO_WALLS, BEFORE_THREE, BEFORE_SWEEP = 1.1, 0.9, 0.75
-"""Angle [rad] to each side of the front within which cameras see walls, or the paper, behind the table."""
-ASKEW, ASKEW_OF_THREE = (0.25, 0.6), 0.15
-"""Angle [rad] of the cameras' side from straight before the table, away from the near wall."""
-SWEEP_SCALE: Range = (0.9, 1.3)
-"""A backdrop's size against the studio's own."""
-SWEEP_BEHIND: Range = (0.9, 1.4)
-"""Distance [m] of the paper's wall to the table, for a sweep of scale 1: beyond its bend."""
-SWEEP_LIFT = 0.0003
-"""Air [m] below the paper, so that no two surfaces coincide."""
+# Measures of rooms and backdrops [m, rad], and how often they have what [probability].
+GROUND, FLOOR = 60.0, 30.0  # sides: a ground's edge is far off, a floor ends behind walls
+HEIGHT = (2.5, 3.2)  # of rooms, new and old
+BEHIND, BEHIND_MORE = 0.03, 0.9  # from a table to the wall behind: a hand's breadth, and what may come to it
+BESIDE, BESIDE_MORE = 0.05, 1.3  # the same to the nearer wall beside it: one walks there
+OPPOSITE = (1.6, 3.0)  # to the other wall beside it, in a small room and a large one
+SIDE_WALL = (3.5, 5.0)  # length of the walls beside: they end behind the most distant camera
+BOARD = ((0.01, 0.02), (0.06, 0.13))  # thickness and height of skirting boards, as sold
+THREE_WALLS, ONE_FINISH, TEXTURED_WALL = 0.4, 0.6, 0.45  # the rest: a corner; an accent wall; paint
+BEFORE_TWO_WALLS, BEFORE_THREE, BEFORE_SWEEP = 1.1, 0.9, 0.75  # half the angle in which there is wall or paper behind
+ASKEW, ASKEW_OF_THREE = (0.25, 0.6), 0.15  # the cameras' side, from straight before the table away from the near wall
+SWEEP_SCALE, SWEEP_BEHIND = (0.9, 1.3), (0.9, 1.4)  # against the studio's own; its wall, beyond the bend
+SWEEP_LIFT = 0.0003  # air below the paper, so that no two surfaces coincide
 
 
 @dataclass(frozen=True)
@@ -111,7 +95,7 @@ def _corner(rng: np.random.Generator, library: AssetLibrary, table: Float64) -> 
     three = rng.random() < THREE_WALLS
     wall, accent = _wall_material(rng, library), _wall_material(rng, library)
     board = _skirting_material(rng)
-    beside = wall if rng.random() < ONE_PAPER else accent
+    beside = wall if rng.random() < ONE_FINISH else accent
     bodies = [_floor(rng, library, "corner", size=FLOOR)]
     plan = [("back", (side * (near - far) / 2, back), (0.0, -1.0), near + far, wall)]
     plan.append(("near", (side * near, back - deep / 2), (-side, 0.0), deep, beside))
@@ -140,7 +124,9 @@ def _backdrop(rng: np.random.Generator, library: AssetLibrary, table: Float64) -
     pose[:, 3] = [0.0, behind - scale * STUDIO.depth / 2, SWEEP_LIFT, 1.0]
     paper = Material(name="paper", base_color=colour, roughness=float(rng.uniform(0.75, 0.95)))
     info, mesh = library.info(SWEEP_ID), library.mesh(SWEEP_ID)
-    sweep = make_body("backdrop", "surrounding", info, mesh, (paper,), pose, category="backdrop")
+    sweep = make_body("backdrop", "surrounding", info, mesh, (paper,), pose)
     floor = Material(name="concrete", base_color=linear_from_hex("77736c"), roughness=float(rng.uniform(0.4, 0.8)))
     ground = plane("floor", (GROUND, GROUND), floor, np.eye(4))
-    return Surrounding((ground, sweep), front=-np.pi / 2, opening=BEFORE_SWEEP)
+    return Surrounding(
+        (ground, sweep.model_copy(update={"category": "backdrop"})), front=-np.pi / 2, opening=BEFORE_SWEEP
+    )

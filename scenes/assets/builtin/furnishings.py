@@ -3,13 +3,11 @@
 What hangs on a wall faces -Y, its back at +Y.
 """
 
-from collections.abc import Callable
-from functools import partial
 from itertools import pairwise
 
 import numpy as np
 
-from multilight.scenes.assets.builtin.joinery import WINDOWS, door, painted, window
+from multilight.scenes.assets.builtin.joinery import painted
 from multilight.scenes.assets.builtin.parts import METALS, PAPER, Part, Rng, tiled
 from multilight.scenes.assets.builtin.primitives import Surface, bar, bar_pair, from_grid, merge, prism, rotation, tube
 from multilight.scenes.spec import Material, Rgb
@@ -190,18 +188,3 @@ def wall_shelf(rng: Rng) -> list[Part]:
         )
     metal = Material(name="bracket", base_color=pick(rng, METALS), metallic=1.0, roughness=0.4)
     return [(board, painted(rng, "board")), (merge(brackets), metal)]
-
-
-FITTINGS: dict[str, tuple[Callable[[Rng], list[Part]], int]] = {
-    **{
-        f"window-{key}": (partial(window, width=w, height=h, across=a, up=u), 2)
-        for key, (w, h, a, u) in WINDOWS.items()
-    },
-    **{f"curtains-{key}": (partial(curtains, width=size[0]), 2) for key, size in WINDOWS.items()},
-    "door": (door, 5),
-    "picture": (picture, 14),
-    "mirror": (mirror, 3),
-    "rug": (rug, 8),
-    "books": (books, 10),
-    "shelf": (wall_shelf, 4),
-}

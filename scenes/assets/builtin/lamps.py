@@ -1,4 +1,4 @@
-"""Built-in objects that glow: candles, bulbs, lamps and night lights; the part named in `LAMPS` may shine."""
+"""Built-in objects that glow: candles, bulbs, lamps and night lights; the part `glow` or `flame` may shine."""
 
 import numpy as np
 

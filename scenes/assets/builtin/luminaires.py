@@ -147,11 +147,3 @@ def table_lamp(rng: Rng) -> list[Part]:
     shade = (outside.moved((0, 0, lift)), inside.moved((0, 0, lift)))
     bulb = _bulb(0.026).moved((0, 0, foot + 0.03))
     return [(body, glaze), (merge(wire), _metal(rng)), *_shaded(rng, shade, bulb)]
-
-
-LUMINAIRES = {
-    "pendant": (pendant, 8),
-    "ceilinglamp": (ceiling_lamp, 4),
-    "floorlamp": (floor_lamp, 6),
-    "tablelamp": (table_lamp, 6),
-}

@@ -18,36 +18,20 @@ from multilight.scenes.still_life.placement import PlacementError
 from multilight.scenes.still_life.selection import draw_by_category
 from multilight.scenes.streams import pick
 
-EDGE = 0.008
-"""Smallest distance [m] of a footprint to the edge of its surface."""
-TRIES = 24
-"""Poses that are drawn for an object on one surface, and places for it on the floor."""
-ASKEW, ASKEW_BOOKS = 0.6, 0.02
-"""Deviation [rad] of objects' fronts from the room's, and of rows of books."""
-HEADROOM = 0.01
-"""Air [m] that an object leaves below the board above it."""
-MOST = 36
-"""Objects that lie about a room at most, besides books and those inserted."""
-CROWD = 6.0
-"""Objects a square metre [1/m²] of a surface on average, besides one on each; beyond `CROWDED` [m²] no more come."""
-CROWDED = 0.8
-GLOWING, INSERTED_LAMP_LIT, LAMP_LIT = 1 / 3, 0.5, 0.4
-"""Probabilities that an inserted object glows in any case, that a lamp among them is lit, and one that lies about."""
-REACH = 1.1
-"""Distance [m] within which the inserted objects lie from each other."""
-INSERTED = (0.15, 0.5)
-"""Longest side [m] of objects inserted on furniture."""
-FLOOR_INSERTED = (0.24, 0.95)
-"""Longest side [m] of objects inserted on the floor."""
-THIN = 0.05
-"""The second longest side of inserted objects is at least this long [m]."""
-SEEN_FROM_ABOVE = (0.25, 1.35)
-"""Height [m] of surfaces that objects are inserted on: cameras see what lies there."""
-OPEN, FOCUS_AREA, NEAR_AREA, MOST_AREA = 0.2, 0.09, 0.05, 0.6
-"""Headroom [m] of those surfaces; area [m²] of the first of them and of those near it; more than `MOST_AREA` does not
-make a surface likelier to be the first."""
-LITTER, FLOOR_LITTER = (0.03, 0.5), (0.12, 0.8)
-"""Longest side [m] of what lies about on furniture and on the floor."""
+# Measures of what lies about [m, m²], and how often [probability].
+EDGE = 0.008  # smallest distance of a footprint to the edge of its surface
+HEADROOM = 0.01  # air below the board above
+ASKEW, ASKEW_BOOKS = 0.6, 0.02  # deviation [rad] of objects' fronts from that of the furniture; of rows of books
+TRIES = 24  # poses of an object on one surface, places for it on the floor
+MOST = 36  # objects in a room, besides books and those inserted
+CROWD, CROWDED = 6.0, 0.8  # objects a square metre, besides one on each surface; area beyond which no more come
+GLOWING = 1 / 3  # an inserted object glows in any case
+INSERTED_LAMP_LIT, LAMP_LIT = 0.5, 0.4  # any other inserted lamp; one that lies about
+REACH = 1.1  # within which the inserted objects lie from each other
+INSERTED, FLOOR_INSERTED, THIN = (0.15, 0.5), (0.24, 0.95), 0.05  # their longest sides; their second, at least
+SURFACES, OPEN = (0.25, 1.35), 0.2  # heights of surfaces that objects are inserted on, and what is free above
+FOCUS, NEAR = (0.09, 0.6), 0.05  # area of the first of them: at least, and what makes it no likelier; of those near
+LITTER, FLOOR_LITTER = (0.03, 0.5), (0.12, 0.8)  # longest sides of what else lies about
 _BEARERS = frozenset(
     {
         "table", "round", "rectangular", "trestle", "bistro", "coffee_table", "coffee", "desk", "sideboard",
@@ -185,15 +169,15 @@ def insert(rng: np.random.Generator, objects: Objects, kind: RoomType, count: in
     Returns their names. Raises `PlacementError` where the furniture leaves no room for them.
     """
     focus, near = _stage(rng, objects, kind)
-    stock = _Stock.of(objects.plan, kind)
+    small, large, lamps = _insertable(objects.plan, kind)
     names: list[str] = []
     for attempt in range(60 * count):
         if len(names) == count:
             return names
-        lamp = glows and not names and bool(stock.lamps)
+        lamp = glows and not names and bool(lamps)
         # Alternately on the surface, on the floor and near by; every twenty attempts the next comes first.
         where = (len(names) + attempt // 20) % 3
-        info = objects.draw(rng, stock.lamps if lamp else stock.large if where == 1 else stock.small)
+        info = objects.draw(rng, lamps if lamp else large if where == 1 else small)
         if info is None:
             continue
         if where == 1 and not lamp:
@@ -206,35 +190,22 @@ def insert(rng: np.random.Generator, objects: Objects, kind: RoomType, count: in
     raise PlacementError(f"only {len(names)} of {count} objects found a place in a {kind} room")
 
 
-@dataclass(frozen=True)
-class _Stock:
-    """What may be inserted: on furniture, on the floor, and what can glow."""
-
-    small: list[AssetInfo]
-    large: list[AssetInfo]
-    lamps: list[AssetInfo]
-
-    @classmethod
-    def of(cls, plan: Plan, kind: RoomType) -> "_Stock":
-        """List it for a kind of room."""
-        small = _infos(plan, (*_COMMON, *_HABITS[kind]), INSERTED)
-        return cls(
-            small=[info for info in small if info.size is not None and sorted(info.size)[1] >= THIN],
-            large=_infos(plan, _ON_FLOOR, FLOOR_INSERTED),
-            lamps=[info for info in _infos(plan, _GLOWING, INSERTED) if info.emissive_part],
-        )
+def _insertable(plan: Plan, kind: RoomType) -> tuple[list[AssetInfo], list[AssetInfo], list[AssetInfo]]:
+    """List what may be inserted: on furniture, on the floor, and what can glow."""
+    small = _infos(plan, (*_COMMON, *_HABITS[kind]), INSERTED)
+    lamps = [info for info in _infos(plan, _GLOWING, INSERTED) if info.emissive_part]
+    return [i for i in small if i.size and sorted(i.size)[1] >= THIN], _infos(plan, _ON_FLOOR, FLOOR_INSERTED), lamps
 
 
 def _stage(rng: np.random.Generator, objects: Objects, kind: RoomType) -> tuple[Spot, list[Spot]]:
     """Draw the surface that objects are inserted on, large ones more often, and list those near it."""
-    low, high = SEEN_FROM_ABOVE
-    spots = [s for s in objects.spots() if low <= s.centre[2] <= high and s.shelf.headroom > OPEN]
-    wide = [s for s in spots if s.area > FOCUS_AREA and s.owner.piece.info.category != "radiator"]
+    spots = [s for s in objects.spots() if SURFACES[0] <= s.centre[2] <= SURFACES[1] and s.shelf.headroom > OPEN]
+    wide = [s for s in spots if s.area > FOCUS[0] and s.owner.piece.info.category != "radiator"]
     if not wide:
         raise PlacementError(f"no surface for inserted objects among {len(spots)} in a {kind} room")
-    weights = np.array([min(s.area, MOST_AREA) for s in wide])
+    weights = np.array([min(s.area, FOCUS[1]) for s in wide])
     focus = wide[int(rng.choice(len(wide), p=weights / weights.sum()))]
-    near = [s for s in spots if 0.0 < np.linalg.norm(s.centre - focus.centre) < REACH and s.area > NEAR_AREA]
+    near = [s for s in spots if 0.0 < np.linalg.norm(s.centre - focus.centre) < REACH and s.area > NEAR]
     return focus, near
 
 

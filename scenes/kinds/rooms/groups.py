@@ -11,26 +11,17 @@ from multilight.scenes.poses import pose_at
 
 TABLES = ("table", "round", "rectangular", "trestle", "bistro")
 """Categories of tables to dine at."""
-WALKWAY = 0.6
-"""Free floor [m] before furniture with doors and drawers."""
-PENDANT = (0.7, 0.7)
-"""Width and depth [m] of pendants, at most."""
-UNDER_LAMP = 2.0
-"""Height [m] that a pendant must leave to walk under it."""
-EYE_LEVEL, SHELF_LEVEL = (1.35, 1.7), (1.25, 1.75)
-"""Height [m] of the centres of pictures and the like, and of wall shelves."""
-MIRROR, CLOCK = 0.35, 0.2
-"""Probabilities that there is one on a wall."""
-SIT_APART = (1.9, 2.8)
-"""Distance [m] from a screen or a fire to the front of the sofa: from which one watches it."""
-AT_TABLE = (0.35, 0.5)
-"""Distance [m] from a sofa to the coffee table: knees fit, arms reach."""
-BEHIND_SOFA = 0.75
-"""Distance [m] behind a sofa in which people can walk; where there is less, it stands at the wall."""
-ARMCHAIR_ASIDE = (1.15, 1.3, 1.5)
-"""Distances [m] of armchairs to the coffee table's centre that are tried."""
-FIRE, TV, WALL_TV, NO_RUG = 0.2, 0.55, 0.7, 0.15
-"""Probabilities of a fireplace instead of a screen, a screen on a board, one on the wall if not, and no rug."""
+# Measures of homes [m], and how often they have what [probability].
+WALKWAY = 0.6  # free floor before furniture with doors and drawers
+PENDANT, UNDER_LAMP = (0.7, 0.7), 2.0  # its width and depth at most; the height that one walks under
+EYE_LEVEL, SHELF_LEVEL = (1.35, 1.7), (1.25, 1.75)  # centres of pictures and the like; wall shelves
+MIRROR, CLOCK = 0.35, 0.2  # one on a wall
+SIT_APART = (1.9, 2.8)  # from a screen or a fire to a sofa, from which one watches it
+AT_TABLE = (0.35, 0.5)  # from a sofa to the coffee table: knees fit, arms reach
+BEHIND_SOFA = 0.75  # in which one can walk; where there is less, the sofa stands at the wall
+ARMCHAIR_ASIDE = (1.15, 1.3, 1.5)  # from the coffee table's centre, by try
+FIRE, TV, WALL_TV = 0.2, 0.55, 0.7  # a fireplace instead of a screen; a screen on a board; one on the wall if not
+NO_RUG = 0.15  # under a coffee table
 
 
 def place_openings(rng: np.random.Generator, plan: Plan) -> None:

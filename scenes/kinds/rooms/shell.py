@@ -20,19 +20,15 @@ from multilight.scenes.streams import pick
 
 OVERSHOOT = 0.3
 """How far [m] walls, floor and ceiling run on behind each other."""
-HEADS = (2.12, 2.28)
-"""Height [m] of the top of window openings."""
-HEIGHTS = (2.5, 3.0)
-"""Height of rooms [m], of a new building's to an old one's."""
-TWO_SIDED, CORNER_DOOR, PAIRED, ACCENT = 0.4, 0.75, 0.6, 0.5
-"""Probabilities of windows in a second wall, of a door next to a corner, of two windows in a wall that has room for
-them, and of one wall that differs."""
-BETWEEN = (0.25, 0.5)
-"""What lies between two windows, as a fraction of what they leave of the wall."""
 DOOR_ZONE = 0.95
 """What is kept free before a door [m]."""
 SKIRTING = (0.12, 0.017)
 """Greatest height and thickness [m] of skirting boards, the latter with a hair's breadth to spare."""
+# Measures of buildings [m], and how often they have what [probability].
+HEIGHTS, HEADS = (2.5, 3.0), (2.12, 2.28)  # of rooms, new and old; of the tops of windows
+TWO_SIDED, PAIRED, CORNER_DOOR = 0.4, 0.6, 0.75  # windows in a second wall; two in one wall; a door next to a corner
+BETWEEN = (0.25, 0.5)  # two windows, as a fraction of what they leave of the wall
+ACCENT = 0.5  # one wall differs
 _FLOORS = ("wood", "wood", "wood", "tiles", "stone", "concrete", "fabric")
 _KITCHEN_FLOORS = ("tiles", "tiles", "stone", "wood", "concrete")
 _FINISH = {"fabric": "fabric", "concrete": "rough stone", "stone": "stone", "tiles": "stone"}

@@ -13,27 +13,15 @@ from multilight.scenes.geometry.rays import SceneRays
 from multilight.scenes.poses import box_centre
 from multilight.scenes.spec import Camera
 
-HEIGHTS = (0.85, 1.75)
-"""Height of cameras over the floor [m]: a seated child's eye to a tall adult's."""
-CLEARANCE = 0.15
-"""Smallest distance [m] of a camera to the box of any body, and to walls."""
-LOWEST = 0.3
-"""Least height of cameras that have moved in on an object [m]."""
-STANDPOINTS = 320
-"""Places for cameras that are drawn, of which those count that are free and see everything."""
-LEAST_GOOD = 8
-"""So many of them make a path."""
-NEAREST = 1.0
-"""Least distance [m] of a standpoint to what is inserted."""
-WALKS = 60
-"""Paths that are drawn before an attempt is given up, the last third of them standpoints anywhere."""
-ARC = (25.0, 110.0)
-"""Length [degrees] of an arc round what is inserted."""
-TOWARDS_ROOM = (0.75, 0.75, 0.7), 0.36
-"""What a wide view looks at: the focus times these factors, raised by so much [m]; nearer to the room's midline."""
-BLOCKED = 0.6
-"""A picture is blocked where more than a fraction `BLOCKED_FRACTION` of it shows things closer than this [m]."""
-BLOCKED_FRACTION = 0.12
+# Measures [m], and fractions of a picture.
+HEIGHTS, LOWEST = (0.85, 1.75), 0.3  # of cameras: a seated child's eye to a tall adult's; when moved in on an object
+CLEARANCE = 0.15  # of a camera to the box of any body, and to walls
+NEAREST = 1.0  # of a standpoint to what is inserted
+STANDPOINTS, LEAST_GOOD = 320, 8  # drawn; those that are free and see everything, for a path
+WALKS = 60  # paths that are tried, the last third of them standpoints anywhere
+ARC = (25.0, 110.0)  # degrees, round what is inserted
+TOWARDS_ROOM = (0.75, 0.75, 0.7), 0.36  # a wide view looks at the focus times these, raised: nearer to the midline
+BLOCKED, BLOCKED_FRACTION = 0.6, 0.12  # no more than this of a picture may show things closer than that
 
 
 @dataclass(frozen=True)

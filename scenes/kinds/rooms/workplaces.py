@@ -10,34 +10,21 @@ from multilight.scenes.kinds.rooms.plan import BACK, LIFT, Piece, PlacedPiece, P
 from multilight.scenes.kinds.rooms.shell import Wall
 from multilight.scenes.poses import pose_at
 
-JOINT = 0.002
-"""Distance [m] between kitchen units."""
-WALL_UNITS, HOOD = 1.45, 1.6
-"""Height [m] of the underside of wall units and of hoods: worktops are 0.9 m high, and cookers need more air."""
-ROWS = (4.2, 3.3, 2.5)
-"""Longest rows of kitchen units [m] that are tried."""
-STOVE, WALL_UNIT = 0.7, 0.75
-"""Probabilities of a cooker rather than a washing machine, and of a wall unit over a base unit."""
-LOW = 1.3
-"""Units higher than this [m] have nothing above them."""
-DINING_TABLES = (1.9, 1.9, 1.5, 1.2, 1.0)
-"""Longest side [m] of the tables that are tried, one after the other."""
-DINING_SPACE = (0.75,) * 20 + (0.45,) * 10
-"""Free floor [m] round a dining table, in each try: chairs can be drawn out; then only stood at."""
-SEAT = 0.62
-"""Length [m] of a table's edge that a diner takes."""
-HEADS = (0.95, 1.15)
-"""Tables shorter or longer than this [m] have seats at their ends too: between, legs are in the way."""
-EMPTY_SEAT, DRAWN_OUT = 0.12, 0.06
-"""Probability that a seat has no chair; mean distance [m] by which chairs are drawn out."""
-TUCKED, TUCKED_AT_DESK = (0.26, 0.12, 0.0, -0.08), (0.2, 0.08, -0.03)
-"""How far [m] chairs stand under a table's edge, in the tries."""
-SEE_ACROSS = 0.6
-"""Height [m] over a table that a pendant leaves free."""
-BEDSIDE_LAMP, BED_RUG = 0.85, 0.7
-"""Probabilities of a lamp on a nightstand and of a rug at the bed's foot."""
-CORNERS = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))
-"""Signs of x and y in each corner of a room."""
+# Measures of homes [m], and how often they have what [probability].
+JOINT = 0.002  # between kitchen units
+ROWS = (4.2, 3.3, 2.5)  # longest rows of kitchen units that are tried
+WALL_UNITS, HOOD = 1.45, 1.6  # their undersides: worktops are 0.9 m high, and cookers need more air
+LOW = 1.3  # units higher than this have nothing above them
+STOVE, WALL_UNIT = 0.7, 0.75  # a cooker rather than a washing machine; a wall unit over a base unit
+DINING_TABLES = (1.9, 1.9, 1.5, 1.2, 1.0)  # longest sides that are tried, one after the other
+DINING_SPACE = (0.75,) * 20 + (0.45,) * 10  # free floor round a table, by try: room to draw out chairs, then to pass
+SEAT = 0.62  # a table's edge that a diner takes
+NO_HEADS = (0.95, 1.15)  # lengths of tables whose legs are in the way of seats at their ends
+EMPTY_SEAT, DRAWN_OUT = 0.12, 0.06  # a seat without a chair; mean distance by which chairs are drawn out
+TUCKED, TUCKED_AT_DESK = (0.26, 0.12, 0.0, -0.08), (0.2, 0.08, -0.03)  # how far chairs stand under an edge, by try
+SEE_ACROSS = 0.6  # what a pendant leaves free over a table
+BEDSIDE_LAMP, BED_RUG = 0.85, 0.7  # a lamp on a nightstand; a rug at the bed's foot
+CORNERS = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))  # signs of x and y
 
 
 def dining(rng: np.random.Generator, plan: Plan) -> None:
@@ -77,7 +64,7 @@ def _chairs(rng: np.random.Generator, plan: Plan, table: PlacedPiece) -> None:
     along = [(i + 0.5) / number * width - width / 2 for i in range(number)]
     # Where a seat's edge is, the direction out of it, and the yaw of a chair that looks at the table.
     seats = [((x, s * depth / 2), (0.0, s), 0.0 if s > 0 else np.pi) for s in (-1.0, 1.0) for x in along]
-    if not HEADS[0] <= width <= HEADS[1]:
+    if not NO_HEADS[0] <= width <= NO_HEADS[1]:
         ends = [((s * width / 2, 0.0), (s, 0.0), -s * np.pi / 2) for s in (-1.0, 1.0)]
         seats += ends[: int(rng.integers(1, 3))]
     for edge, outwards, yaw in seats:
