@@ -1,7 +1,7 @@
 """Independent random streams: every draw is keyed by (dataset seed, scene index, attempt, stage); and common draws."""
 
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Generic, Self, TypeVar, cast
 
@@ -29,6 +29,16 @@ class Streams:
         """Return a fresh generator for a stage such as `placement` or `placement/3`."""
         key = zlib.crc32(stage.encode())
         return np.random.Generator(np.random.PCG64(np.random.SeedSequence([self.seed, self.scene, self.attempt, key])))
+
+
+def generator_of(name: str) -> np.random.Generator:
+    """Return the generator that goes with a name, always in the same state."""
+    return np.random.Generator(np.random.PCG64(zlib.crc32(name.encode())))
+
+
+def pick(rng: np.random.Generator, choices: Sequence[K]) -> K:
+    """Draw one of several things, each as likely as the others."""
+    return choices[int(rng.integers(len(choices)))]
 
 
 def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:

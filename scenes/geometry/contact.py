@@ -14,8 +14,8 @@ from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.geometry.overlap import boxes_meet, depth, surfaces_cross, touching
 from multilight.scenes.geometry.rays import body_triangles
 from multilight.scenes.geometry.solids import Placed, Solid
-from multilight.scenes.geometry.support_surfaces import stacked_faces
-from multilight.scenes.spec import Body, MeshAsset, Rectangle, Sphere
+from multilight.scenes.poses import matrix4
+from multilight.scenes.spec import Body, Rectangle, Sphere
 
 TOLERANCE = 1e-3
 """Overlaps deeper and gaps wider than this [m] are faults."""
@@ -76,19 +76,12 @@ class Solids:
         return Placed(self._made[key], rigid)
 
     def _triangles(self, body: Body, *, slab: bool) -> tuple[Float64, Int64]:
-        match body.geometry:
-            case MeshAsset(asset=asset):
-                mesh = self._library.mesh(asset)
-                return mesh.vertices().astype(np.float64), stacked_faces(mesh)
-            case Sphere(radius=radius):
-                ball = icosphere(subdivisions=5, radius=radius)
-                return np.asarray(ball.vertices), np.asarray(ball.faces)
-            case Rectangle():
-                vertices, faces = body_triangles(body.model_copy(update={"world_from_body": _IDENTITY}), self._library)
-                return _slab(vertices, faces) if slab else (vertices, faces)
-
-
-_IDENTITY = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+        if isinstance(body.geometry, Sphere):
+            ball = icosphere(subdivisions=5, radius=body.geometry.radius)
+            return np.asarray(ball.vertices), np.asarray(ball.faces)
+        unposed = body.model_copy(update={"world_from_body": matrix4(np.eye(4))})
+        vertices, faces = body_triangles(unposed, self._library)
+        return _slab(vertices, faces) if slab else (vertices, faces)
 
 
 def _slab(vertices: Float64, faces: Int64) -> tuple[Float64, Int64]:

@@ -88,7 +88,7 @@ def _holds(outer: Placed, inner: Placed) -> bool:
 
 
 def way_out(first: Placed, second: Placed) -> Float64:
-    """Return the shift (3,) [m] that takes the deepest point of `first` out of `second`, or the other way about.
+    """Return the shift (3,) [m] that takes the deepest point of `first` out of `second`, or of `second` out of `first`.
 
     Zero where the solids do not lie in each other.
     """

@@ -65,13 +65,13 @@ class SceneRays:
         return np.where(face >= 0, self._body_of_face[face], -1), np.where(face >= 0, distance, np.inf)
 
     def sees(self, eye: Float64, points: Float64, *, slack: float = 0.01) -> Mask:
-        """Tell for points (N, 3) whether the way from `eye` (3,) to `slack` [m] before them is free."""
-        way = points - eye
-        _, distance = self.first_hit(np.broadcast_to(eye, way.shape), way)
-        return np.asarray(distance >= np.linalg.norm(way, axis=1) - slack)
+        """Tell for points (N, 3) whether the line from `eye` (3,) to `slack` [m] before them is free."""
+        line = points - eye
+        _, distance = self.first_hit(np.broadcast_to(eye, line.shape), line)
+        return np.asarray(distance >= np.linalg.norm(line, axis=1) - slack)
 
     def visible_share(self, eye: Float64, body: int, points: Float64) -> float:
-        """Return the share of rays from `eye` (3,) to a body's surface points (N, 3) that hit that body first.
+        """Return the fraction of the rays from `eye` (3,) to a body's surface points (N, 3) that hit that body first.
 
         An object hides part of itself; that does not count against it, what stands before it does.
         """
@@ -96,5 +96,6 @@ def extreme_points(body: Body, library: AssetLibrary) -> Float64:
     What holds them in frame holds nearly all of the body; a few points of its surface do not tell.
     """
     vertices, _ = body_triangles(body, library)
-    ways = np.array([way for way in np.ndindex(3, 3, 3) if way != (1, 1, 1)]) - 1.0
-    return np.asarray(vertices[np.argmax(vertices @ (ways / np.linalg.norm(ways, axis=1, keepdims=True)).T, axis=0)])
+    steps = np.array([step for step in np.ndindex(3, 3, 3) if step != (1, 1, 1)]) - 1.0
+    directions = steps / np.linalg.norm(steps, axis=1, keepdims=True)
+    return np.asarray(vertices[np.argmax(vertices @ directions.T, axis=0)])

@@ -23,8 +23,7 @@ from multilight.scenes.poses import apply_pose
 MOST_HITS = 200
 """Surfaces that a ray is followed through."""
 
-
-_WAYS = tuple(way / np.linalg.norm(way) for way in (np.array([0.31, 0.42, 0.853]), np.array([-0.67, 0.21, -0.712])))
+_DIRECTIONS = tuple(np.array(d) / np.linalg.norm(d) for d in ((0.31, 0.42, 0.853), (-0.67, 0.21, -0.712)))
 """Directions that no axis-aligned edge runs along."""
 
 
@@ -77,10 +76,10 @@ class Solid:
             hull = ConvexHull(self.vertices)
         except QhullError:
             return np.asarray((self.low + self.high) / 2)
-        middle = self.vertices[hull.vertices].mean(axis=0)
-        a, b, c = np.moveaxis(self.vertices[hull.simplices] - middle, 1, 0)
+        inside = self.vertices[hull.vertices].mean(axis=0)
+        a, b, c = np.moveaxis(self.vertices[hull.simplices] - inside, 1, 0)
         volume = np.abs((a * np.cross(b, c)).sum(axis=1))
-        return np.asarray(middle + (volume[:, None] * (a + b + c)).sum(axis=0) / (4 * volume.sum()))
+        return np.asarray(inside + (volume[:, None] * (a + b + c)).sum(axis=0) / (4 * volume.sum()))
 
     def distance(self, points: Float64) -> tuple[Float64, Int64]:
         """Return the distance [m] of points (N, 3) to the surface and the nearest face, (N,) each."""
@@ -103,7 +102,7 @@ class Solid:
         """
         if not self.is_closed or not len(points):
             return np.zeros(len(points), bool)
-        first, second = (self._winding(points, way) > 0 for way in _WAYS)
+        first, second = (self._winding(points, direction) > 0 for direction in _DIRECTIONS)
         doubtful = first != second
         if doubtful.any():
             faces = np.ascontiguousarray(self.faces[self._closed])
@@ -111,23 +110,23 @@ class Solid:
             first[doubtful] = np.atleast_1d(exact) > 0.5
         return np.asarray(first)
 
-    def _winding(self, points: Float64, way: Float64) -> Int64:
+    def _winding(self, points: Float64, direction: Float64) -> Int64:
         """Count how often a ray from each point leaves a closed piece more than it enters one, (N,)."""
         triangles = self.triangles[self._closed]
         step = 1e-5 * float((self.high - self.low).max())
         count = np.zeros(len(points), np.int64)
         alive, origins = np.arange(len(points)), np.array(points)
         for _ in range(MOST_HITS):
-            face = self._tracer.intersects_first(origins, np.broadcast_to(way, origins.shape))
+            face = self._tracer.intersects_first(origins, np.broadcast_to(direction, origins.shape))
             hit = face >= 0
             alive, origins, face = alive[hit], origins[hit], face[hit]
             if not len(alive):
                 break
             a, normal = triangles[face, 0], triangle_crosses(triangles[face])
-            facing = normal @ way
+            facing = normal @ direction
             count[alive] += np.sign(facing).astype(np.int64)
             ahead = ((a - origins) * normal).sum(axis=1) / np.where(np.abs(facing) > 1e-30, facing, 1e-30)
-            origins = origins + np.clip(ahead, 0.0, None)[:, None] * way + step * way
+            origins = origins + np.clip(ahead, 0.0, None)[:, None] * direction + step * direction
         return count
 
 

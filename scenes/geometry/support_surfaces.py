@@ -1,5 +1,6 @@
 """Where things can stand: the largest free, flat, upward-facing region of a mesh."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -67,7 +68,7 @@ class SupportSurface:
         steps = np.linspace(0.0, 1.0, max(2, int(np.ceil(np.ptp(polygon, axis=0).max() / self.cell))))
         outline = (polygon[:, None] + steps[:, None] * (following - polygon)[:, None]).reshape(-1, 2)
         centre = polygon.mean(axis=0)
-        rings = np.concatenate([centre + share * (outline - centre) for share in (1.0, 0.75, 0.5, 0.25, 0.0)])
+        rings = np.concatenate([centre + scale * (outline - centre) for scale in (1.0, 0.75, 0.5, 0.25, 0.0)])
         return bool((self.edge_distance(rings) > margin).all())
 
 
@@ -104,7 +105,7 @@ def find_support(mesh: Mesh, *, cell: float = 0.01, smallest: float = 0.4) -> Su
 
 def _height_map(mesh: Mesh, columns: Float64, rows: Float64, top: float) -> tuple[Float64, Int64, Mask]:
     """Return height [m], part and whether the surface is level, of what lies on top of each cell (rows, columns)."""
-    solid = Trimesh(mesh.vertices(), stacked_faces(mesh), process=False)
+    solid = as_trimesh(mesh)
     x, y = np.meshgrid(columns, rows)
     origins = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, top)])
     face = RayMeshIntersector(solid).intersects_first(origins, np.tile([0.0, 0.0, -1.0], (x.size, 1)))
@@ -149,6 +150,20 @@ def largest_square(region: Mask) -> int:
 def stacked_faces(mesh: Mesh) -> Int64:
     """Stack all parts' faces, (F, 3) int64, as indices into `mesh.vertices()`."""
     return stacked((part.vertices, part.faces) for part in mesh.parts)[1]
+
+
+def as_trimesh(mesh: Mesh) -> Trimesh:
+    """Return all parts of a mesh as one, nothing about it changed."""
+    return Trimesh(mesh.vertices(), stacked_faces(mesh), process=False)
+
+
+def stands(vertices: Float64, centres: Iterable[Float64], *, contact: float) -> bool:
+    """Tell whether a body (vertices (N, 3)) stands: its centres of mass (3,) lie over what touches the ground.
+
+    That is the convex hull, seen from above, of the vertices within `contact` [m] of the lowest.
+    """
+    carried = convex_polygon(vertices[vertices[:, 2] <= vertices[:, 2].min() + contact, :2])
+    return carried is not None and all(inside_convex(carried, centre[:2]) for centre in centres)
 
 
 def convex_polygon(points: Float64) -> Float64 | None:

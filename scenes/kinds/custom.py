@@ -12,6 +12,8 @@ from multilight.scenes.geometry.contact import Solids
 from multilight.scenes.geometry.rays import SceneRays, body_triangles
 from multilight.scenes.geometry.solids import Placed
 from multilight.scenes.geometry.support_surfaces import FLATNESS, SupportSurface, largest_square
+from multilight.scenes.meshes import triangle_crosses
+from multilight.scenes.poses import direction_from
 from multilight.scenes.spec import Body, SceneSpec
 from multilight.scenes.still_life.sample import StillLifeSettings, sample_still_life
 from multilight.scenes.still_life.setting import Setting, make_body
@@ -29,7 +31,10 @@ MOST_LEVELS = 24
 STANDPOINT = 0.9
 """Distance [m] that must be free before a surface for cameras to stand there."""
 
-CustomSettings = StillLifeSettings
+EYE, RISE, DIRECTIONS = 0.15, np.radians(25.0), 48
+"""Height [m] over a surface from which one looks for free sight, elevation [rad] and number of the directions."""
+NARROWEST = 0.4
+"""Angle [rad] to each side of the front that a usable surface is open to, at least."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +59,7 @@ def background_bodies(library: AssetLibrary) -> tuple[Body, ...]:
     return tuple(bodies)
 
 
-def sample_custom(streams: Streams, library: AssetLibrary, *, index: int, settings: CustomSettings) -> SceneSpec:
+def sample_custom(streams: Streams, library: AssetLibrary, *, index: int, settings: StillLifeSettings) -> SceneSpec:
     """Draw objects and cameras in the library's background; its surfaces are found by level faces and free area.
 
     Raises `AssetError` where the background cannot serve, `SceneSamplingError` where no attempt succeeds.
@@ -109,8 +114,7 @@ def find_places(bodies: Sequence[Body], library: AssetLibrary) -> list[Place]:
 
 def _levels(corners: Float64) -> list[tuple[float, Float64, Float64]]:
     """Return the heights [m] at which most level area lies, each with the box (2,) (2,) about it seen from above."""
-    a, b, c = np.moveaxis(corners, 1, 0)
-    cross = np.cross(b - a, c - a)
+    cross = triangle_crosses(corners)
     length = np.linalg.norm(cross, axis=1)
     level = np.abs(cross[:, 2]) > 0.98 * np.maximum(length, 1e-30)
     flat, area = corners[level], length[level] / 2
@@ -173,13 +177,12 @@ def _is_covered(rays: SceneRays, surface: SupportSurface) -> bool:
 
 
 def _place(rays: SceneRays, surface: SupportSurface) -> Place | None:
-    """Find the widest side from which cameras can look at the middle of a surface; None where there is none."""
-    middle = surface.centres[int(np.argmax(surface.edge_distance(surface.centres)))]
-    eye = np.array([*middle, surface.height + 0.15])
-    azimuth = np.linspace(-np.pi, np.pi, 48, endpoint=False)
-    rise = np.radians(25.0)
-    ways = np.stack([np.cos(azimuth) * np.cos(rise), np.sin(azimuth) * np.cos(rise), np.full(48, np.sin(rise))], -1)
-    _, distance = rays.first_hit(np.broadcast_to(eye, ways.shape), ways)
+    """Find the widest side from which cameras can look at the centre of a surface; None where there is none."""
+    centre = surface.centres[int(np.argmax(surface.edge_distance(surface.centres)))]
+    eye = np.array([*centre, surface.height + EYE])
+    azimuth = np.linspace(-np.pi, np.pi, DIRECTIONS, endpoint=False)
+    outwards = np.stack([direction_from(angle, RISE) for angle in azimuth])
+    _, distance = rays.first_hit(np.broadcast_to(eye, outwards.shape), outwards)
     free = distance > STANDPOINT
     if free.all():
         return Place(surface, front=-np.pi / 2, opening=np.pi)
@@ -188,8 +191,8 @@ def _place(rays: SceneRays, surface: SupportSurface) -> Place | None:
     # Start at an azimuth that is blocked, so that no free stretch runs over the seam.
     start = int(np.argmin(free))
     labels, count = ndimage.label(np.roll(free, -start))
-    widths = ndimage.sum_labels(np.ones(48), labels, np.arange(1, count + 1))
+    widths = ndimage.sum_labels(np.ones(DIRECTIONS), labels, np.arange(1, count + 1))
     stretch = np.flatnonzero(labels == 1 + int(np.argmax(widths)))
-    opening = len(stretch) * np.pi / 48
-    front = azimuth[0] + (start + stretch.mean()) * 2 * np.pi / 48
-    return Place(surface, front=float(front), opening=float(opening)) if opening > 0.4 else None
+    opening = len(stretch) * np.pi / DIRECTIONS
+    front = azimuth[0] + (start + stretch.mean()) * 2 * np.pi / DIRECTIONS
+    return Place(surface, front=float(front), opening=float(opening)) if opening > NARROWEST else None

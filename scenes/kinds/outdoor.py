@@ -2,16 +2,17 @@
 
 import numpy as np
 
-from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.info import AssetInfo
-from multilight.scenes.assets.library import AssetError, AssetLibrary
+from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.materials import pick_texture, sample_material, textured
+from multilight.scenes.poses import translation
 from multilight.scenes.spec import Body, Material, SceneSpec
-from multilight.scenes.still_life.placement import PlacementError, Standing, resting_poses
-from multilight.scenes.still_life.sample import Choice, Plan, StillLifeSettings, sample_still_life
+from multilight.scenes.still_life.placement import PlacementError, Standing
+from multilight.scenes.still_life.planes import level_pose, plane, upright_pose
+from multilight.scenes.still_life.sample import StillLifeSettings, sample_still_life
+from multilight.scenes.still_life.selection import Choice, Wanted, draw_by_category, draw_standing, unused
 from multilight.scenes.still_life.setting import Setting, flat_surface
-from multilight.scenes.still_life.surroundings import plane, upright
-from multilight.scenes.streams import Streams
+from multilight.scenes.streams import Streams, weighted_pick
 
 GROUND = 600.0
 """Side [m] of the ground: its edge lies a fifth of a degree below the horizon for an eye at one metre."""
@@ -19,12 +20,16 @@ GROUNDS = {"grass": 0.3, "gravel": 0.15, "paving": 0.2, "asphalt": 0.15, "sand":
 """What the still life stands on, and how often."""
 AROUND = {"paving": ("grass", "gravel"), "deck": ("grass", "gravel", "sand"), "gravel": ("grass",)}
 """What lies round a patio of that."""
-PATIO = 0.5
-"""Share of the patios among the grounds that may be one."""
-LONGEST = (0.10, 0.62)
-"""Longest side [m] of the objects."""
-INSERTABLE = 0.14
-"""Longest side [m] of insertable objects, at least."""
+LONGEST, INSERTABLE = (0.10, 0.62), 0.14
+"""Longest side [m] of the objects, and of insertable ones at least."""
+# Measures of open ground and what is on it [m], and how often [probability].
+THIN, PIECES = 0.06, (0.3, 1.6)  # second longest side of insertable objects, at least; longest of garden furniture
+MOST = 7  # objects
+STRETCH = 6.0  # side of the part of a ground on which things may stand
+PATIO, PATIO_SIDE, PATIO_STEP = 0.5, (4.5, 9.0), (0.02, 0.06)  # a ground that may be a patio is one; sides; height
+PATIO_EDGE = 0.1  # left free, on both edges together
+GLOWING_INSERTED = 0.85  # an object that glows is an insertable one
+AS_IT_COMES = 0.6  # an object keeps its own resting pose, besides its turn among them
 FURNITURE = frozenset({"bench", "chair", "floor_plant", "planter", "stool"})
 _THINGS = frozenset(
     {
@@ -42,14 +47,14 @@ def sample_outdoor(streams: Streams, library: AssetLibrary, *, index: int, setti
     One to three large pieces stand among the objects. The same streams, assets and settings give the same scene
     anywhere. Raises `SceneSamplingError` where no attempt succeeds.
     """
-    ground = str(streams("place").choice(list(GROUNDS), p=list(GROUNDS.values())))
+    ground = weighted_pick(streams("place"), GROUNDS)
 
     def build(attempt: int) -> Setting:
         rng = streams(f"ground/{attempt}")
         front = float(rng.uniform(-np.pi, np.pi))
         bodies, size = _ground(rng, library, ground)
         pieces = choose_pieces(rng, library)
-        return Setting(bodies, (), flat_surface(*size), np.eye(4), front, opening=1.2, most=7, beside=pieces)
+        return Setting(bodies, (), flat_surface(*size), np.eye(4), front, opening=1.2, most=MOST, large_pieces=pieces)
 
     return sample_still_life(
         streams, library, build, kind="outdoor", index=index, settings=settings, choose=choose_for_ground
@@ -59,29 +64,19 @@ def sample_outdoor(streams: Streams, library: AssetLibrary, *, index: int, setti
 def _ground(rng: np.random.Generator, library: AssetLibrary, kind: str) -> tuple[tuple[Body, ...], tuple[float, float]]:
     """Lay the ground, or a patio of it, a step above what is around; also return the stretch [m] to stand on."""
     if kind not in AROUND or rng.random() >= PATIO:
-        ground = plane("ground", (GROUND, GROUND), _surface(rng, library, kind), _quarter_turn(rng))
-        return (ground,), (6.0, 6.0)
+        ground = plane("ground", (GROUND, GROUND), _surface(rng, library, kind), level_pose(rng))
+        return (ground,), (STRETCH, STRETCH)
     around = str(rng.choice(AROUND[kind]))
-    x, y = (float(v) for v in rng.uniform(4.5, 9.0, 2))
-    step = float(rng.uniform(0.02, 0.06))
-    low = np.eye(4)
-    low[2, 3] = -step
+    x, y = (float(v) for v in rng.uniform(*PATIO_SIDE, 2))
+    step = float(rng.uniform(*PATIO_STEP))
     material = _surface(rng, library, kind)
-    bodies = [plane("ground", (GROUND, GROUND), _surface(rng, library, around), low)]
+    bodies = [plane("ground", (GROUND, GROUND), _surface(rng, library, around), translation((0.0, 0.0, -step)))]
     bodies.append(plane("patio", (x, y), material, np.eye(4)))
     edges = {"east": (1, 0), "west": (-1, 0), "north": (0, 1), "south": (0, -1)}
     for name, (dx, dy) in edges.items():
-        pose = upright((dx * x / 2, dy * y / 2, -step / 2), (float(dx), float(dy)))
+        pose = upright_pose((dx * x / 2, dy * y / 2, -step / 2), (float(dx), float(dy)))
         bodies.append(plane(f"patio_{name}", (y if dx else x, step), material, pose))
-    return tuple(bodies), (x - 0.1, y - 0.1)
-
-
-def _quarter_turn(rng: np.random.Generator) -> Float64:
-    """Return the identity (4, 4), or a quarter turn about +Z."""
-    pose = np.eye(4)
-    if rng.random() < 0.5:
-        pose[:2, :2] = [[0.0, -1.0], [1.0, 0.0]]
-    return pose
+    return tuple(bodies), (x - PATIO_EDGE, y - PATIO_EDGE)
 
 
 def _surface(rng: np.random.Generator, library: AssetLibrary, kind: str) -> Material:
@@ -93,47 +88,55 @@ def _surface(rng: np.random.Generator, library: AssetLibrary, kind: str) -> Mate
 
 def choose_pieces(rng: np.random.Generator, library: AssetLibrary) -> tuple[Standing, ...]:
     """Draw one to three pieces of garden furniture and planters; as many as are installed."""
-    large = [info for info in library.list("surrounding") if info.category in FURNITURE and _fits(info, 0.3, 1.6)]
+    large = [info for info in library.list("surrounding") if info.category in FURNITURE and _fits(info, PIECES)]
     chosen: list[Standing] = []
     _add(rng, library, large, chosen, int(rng.integers(1, 4)))
     return tuple(chosen)
 
 
-def choose_for_ground(rng: np.random.Generator, library: AssetLibrary, plan: Plan, setting: Setting) -> Choice:
+def choose_for_ground(rng: np.random.Generator, library: AssetLibrary, wanted: Wanted, setting: Setting) -> Choice:
     """Draw objects of 10 to 62 cm for open ground; categories repeat only when they run out.
 
     Raises `PlacementError` where too few are installed.
     """
-    every = [info for info in library.list("object") if _fits(info, *LONGEST)]
-    wanted = [info for info in every if info.category in _THINGS]
-    if len({info.category for info in wanted if info.emissive_part is None}) < plan.objects + 2:
-        wanted = every  # a small library, or the split that holds whole categories out
-    lamps = [info for info in wanted if info.emissive_part is not None and _is_insertable(info)]
+    lamps, plain = _things(library, wanted)
     chosen: list[Standing] = []
-    glowing = None
-    if plan.glows and lamps:
-        glowing = 0
+    glowing = 0 if wanted.glows and lamps else None
+    if glowing is not None:
         _add(rng, library, lamps, chosen, 1)
-    plain = [info for info in wanted if info.emissive_part is None]
-    _add(rng, library, [info for info in plain if _is_insertable(info)], chosen, plan.insertable)
-    _add(rng, library, plain, chosen, plan.objects)
-    if len(chosen) < plan.objects:
-        raise PlacementError(f"found {len(chosen)} of {plan.objects} objects for open ground; install more")
-    first = [i for i in range(plan.objects) if _is_insertable(chosen[i].info)]
-    rest = [i for i in first if i != glowing]
-    picked = [0] if glowing == 0 and rng.random() < 0.85 else []
-    picked += [int(i) for i in rng.permutation(rest)[: plan.insertable - len(picked)]]
-    if len(picked) < plan.insertable:
-        raise PlacementError(f"only {len(picked)} objects have a size for insertion, need {plan.insertable}")
-    return chosen, sorted(picked), glowing
+    _add(rng, library, [info for info in plain if _is_insertable(info)], chosen, wanted.insertable)
+    _add(rng, library, plain, chosen, wanted.objects)
+    if len(chosen) < wanted.objects:
+        raise PlacementError(f"found {len(chosen)} of {wanted.objects} objects for open ground; install more")
+    return chosen, _choose_insertable(rng, chosen[: wanted.objects], wanted.insertable, glowing), glowing
 
 
-def _fits(info: AssetInfo, low: float, high: float) -> bool:
-    return info.size is not None and low <= max(info.size) <= high
+def _things(library: AssetLibrary, wanted: Wanted) -> tuple[list[AssetInfo], list[AssetInfo]]:
+    """List what may lie on open ground: insertable lamps, and what does not glow."""
+    every = [info for info in library.list("object") if _fits(info, LONGEST)]
+    usual = [info for info in every if info.category in _THINGS]
+    if len({info.category for info in usual if info.emissive_part is None}) < wanted.objects + 2:
+        usual = every  # a small library, or the split that holds whole categories out
+    lamps = [info for info in usual if info.emissive_part is not None and _is_insertable(info)]
+    return lamps, [info for info in usual if info.emissive_part is None]
+
+
+def _choose_insertable(rng: np.random.Generator, chosen: list[Standing], count: int, glowing: int | None) -> list[int]:
+    """Draw which objects are insertable, most often the glowing one among them."""
+    fit = [i for i, item in enumerate(chosen) if i != glowing and _is_insertable(item.info)]
+    picked = [] if glowing is None or rng.random() >= GLOWING_INSERTED else [glowing]
+    picked += [int(i) for i in rng.permutation(fit)[: count - len(picked)]]
+    if len(picked) < count:
+        raise PlacementError(f"only {len(picked)} objects have a size for insertion, need {count}")
+    return sorted(picked)
+
+
+def _fits(info: AssetInfo, longest: tuple[float, float]) -> bool:
+    return info.size is not None and longest[0] <= max(info.size) <= longest[1]
 
 
 def _is_insertable(info: AssetInfo) -> bool:
-    return info.size is not None and max(info.size) >= INSERTABLE and sorted(info.size)[1] >= 0.06
+    return info.size is not None and max(info.size) >= INSERTABLE and sorted(info.size)[1] >= THIN
 
 
 def _add(
@@ -141,18 +144,8 @@ def _add(
 ) -> None:
     """Draw until there are `count`: a category, a new one if possible, then an asset of it, then a resting pose."""
     left = list(infos)
-    while len(chosen) < count:
-        used = {item.info.category for item in chosen}
-        if not left:
-            return
-        fresh = sorted({info.category for info in left} - used) or sorted(used & {info.category for info in left})
-        category = fresh[int(rng.integers(len(fresh)))]
-        members = [info for info in left if info.category == category]
-        info = members[int(rng.integers(len(members)))]
+    while left and len(chosen) < count:
+        info = draw_by_category(rng, unused(left, chosen))
         left.remove(info)
-        try:
-            poses = resting_poses(info, library.mesh(info.id))
-        except AssetError:
-            continue
-        if poses:
-            chosen.append(poses[0] if rng.random() < 0.6 else poses[int(rng.integers(len(poses)))])
+        standing = draw_standing(rng, library, info, as_it_comes=AS_IT_COMES)
+        chosen += [] if standing is None else [standing]

@@ -5,8 +5,9 @@ import math
 
 import numpy as np
 
-from multilight.scenes.cameras.pinhole import camera_from_fov, look_at, matrix4
+from multilight.scenes.cameras.pinhole import camera_from_fov, look_at
 from multilight.scenes.frozen import Rgb
+from multilight.scenes.poses import direction_from, matrix4, translation
 from multilight.scenes.spec import Body, Camera, Material, Rectangle, SceneSpec, Sphere
 from multilight.scenes.streams import Streams
 
@@ -33,7 +34,7 @@ def sample_spheres(streams: Streams, *, index: int, width: int, height: int, vie
             category="sphere",
             geometry=Sphere(radius=radius),
             materials=(_diffuse(_vivid(rng)),),
-            world_from_body=matrix4(_translation(x, y, radius)),
+            world_from_body=matrix4(translation((x, y, radius))),
             insertable=i < INSERTABLE,
         )
         for i, (x, y, radius) in enumerate(spheres)
@@ -77,13 +78,6 @@ def _vivid(rng: np.random.Generator) -> Rgb:
     return colorsys.hsv_to_rgb(rng.uniform(), rng.uniform(0.2, 0.85), rng.uniform(0.35, 0.85))
 
 
-def _translation(x: float, y: float, z: float) -> np.ndarray:
-    """Return a 4x4 translation."""
-    matrix = np.eye(4)
-    matrix[:3, 3] = x, y, z
-    return matrix
-
-
 def _arc(rng: np.random.Generator, spheres: np.ndarray, *, width: int, height: int, views: int) -> tuple[Camera, ...]:
     """Place the cameras on the one of several random arcs whose views hide the least of any sphere."""
     arcs = [_random_arc(rng, spheres, width=width, height=height, views=views) for _ in range(_ARCS)]
@@ -95,8 +89,8 @@ def _random_arc(
 ) -> tuple[Camera, ...]:
     """Draw an arc: azimuth, height and distance run evenly from a far view to the closest that shows all."""
     feet, radii = spheres[:, :2], spheres[:, 2]
-    middle = (np.min(feet - radii[:, None], axis=0) + np.max(feet + radii[:, None], axis=0)) / 2
-    centre = np.array([*middle, radii.mean()])
+    flat = (np.min(feet - radii[:, None], axis=0) + np.max(feet + radii[:, None], axis=0)) / 2
+    centre = np.array([*flat, radii.mean()])
     reach = float(np.max(np.linalg.norm(spheres - centre, axis=1) + radii))
     narrow = math.atan(math.tan(FIELD_OF_VIEW / 2) * min(width, height) / max(width, height))
     close = 1.03 * reach / math.sin(narrow)
@@ -104,9 +98,7 @@ def _random_arc(
     cameras = []
     for t in np.linspace(0.0, 1.0, views):
         azimuth, elevation = start + sweep * t, math.radians(40.0 - 14.0 * t)
-        level = math.cos(elevation)
-        away = np.array([level * math.cos(azimuth), level * math.sin(azimuth), math.sin(elevation)])
-        pose = look_at(centre + close * (2.0 - t) * away, centre)
+        pose = look_at(centre + close * (2.0 - t) * direction_from(azimuth, elevation), centre)
         cameras.append(camera_from_fov(pose, width=width, height=height, fov=FIELD_OF_VIEW))
     return tuple(cameras)
 

@@ -8,31 +8,33 @@ from multilight.scenes.geometry.rays import body_triangles
 from multilight.scenes.geometry.support_surfaces import SupportSurface
 from multilight.scenes.materials import body_materials, metres_per_uv, pick_texture, textured
 from multilight.scenes.meshes import Mesh
+from multilight.scenes.poses import about_z
 from multilight.scenes.spec import Body, SceneSpec
 from multilight.scenes.still_life.receivers import ReceiverKind, choose_receiver, receiver_material, with_receiver
-from multilight.scenes.still_life.sample import SceneSamplingError, StillLifeSettings, sample_still_life
+from multilight.scenes.still_life.sample import StillLifeSettings, sample_still_life
 from multilight.scenes.still_life.selection import choose_table
-from multilight.scenes.still_life.setting import Setting, about_z, emissive_candidate, make_body
-from multilight.scenes.still_life.surroundings import KINDS, SHARES, SurroundingKind, sample_surrounding
-from multilight.scenes.streams import Streams
-
-__all__ = ["SceneSamplingError", "TabletopSettings", "emissive_candidate", "sample_tabletop"]
+from multilight.scenes.still_life.setting import Setting, make_body
+from multilight.scenes.still_life.surroundings import PROBABILITIES, SurroundingKind, sample_surrounding
+from multilight.scenes.streams import Streams, weighted_pick
 
 _TOPS = frozenset({"wood", "marble", "linen", "fabric", "laminate", "stone", "terrazzo", "cork"})
 _BACKED = frozenset({"counter", "nightstand", "sideboard"})
 """Furniture that turns its back to the wall."""
 _TOP_FINISH = {"marble": "stone", "terrazzo": "stone", "stone": "stone", "linen": "fabric", "fabric": "fabric"}
 
-TabletopSettings = StillLifeSettings
+LAID = 0.5
+"""Probability that a table's top is laid with another texture than its own, where one is installed."""
+LENGTHWISE = 0.85
+"""Probability that a table's long side runs along the wall behind it."""
 
 
-def sample_tabletop(streams: Streams, library: AssetLibrary, *, index: int, settings: TabletopSettings) -> SceneSpec:
+def sample_tabletop(streams: Streams, library: AssetLibrary, *, index: int, settings: StillLifeSettings) -> SceneSpec:
     """Draw a tabletop scene; the same streams, assets and settings give the same scene anywhere.
 
     Raises `SceneSamplingError` where no attempt succeeds.
     """
     place = streams("place")
-    kind = KINDS[int(place.choice(len(KINDS), p=SHARES))]
+    kind = weighted_pick(place, PROBABILITIES)
     receiver = choose_receiver(place)
 
     def build(attempt: int) -> Setting:
@@ -54,8 +56,8 @@ def _setting(
         materials[surface.part] = receiver_material(rng, receiver)
         table = table.model_copy(update={"materials": tuple(materials)})
     corners = body_triangles(table, library)[0]
-    extent = np.stack([corners.min(axis=0), corners.max(axis=0)])
-    around = sample_surrounding(streams(f"surrounding/{attempt}"), library, kind=kind, table=extent)
+    box = np.stack([corners.min(axis=0), corners.max(axis=0)])
+    around = sample_surrounding(streams(f"surrounding/{attempt}"), library, kind=kind, table=box)
     return Setting(
         bodies=(*around.bodies, table),
         solids=("table",),
@@ -79,14 +81,14 @@ def _table(
     materials = list(body_materials(rng, library, info, mesh))
     scale = metres_per_uv(mesh.parts[surface.part])
     texture = pick_texture(rng, library, _TOPS, laid=False)
-    if texture is not None and scale is not None and rng.random() < 0.5:
+    if texture is not None and scale is not None and rng.random() < LAID:
         finish = _TOP_FINISH.get(texture.category, "wood")
         materials[surface.part] = textured(rng, texture, finish, metres_per_uv=scale)
     if aligned and info.category in _BACKED:
         angle = 0.0
     elif aligned:
         long_side = bool(np.ptp(mesh.bounds()[:, 0]) >= np.ptp(mesh.bounds()[:, 1]))
-        quarter = 0 if long_side == bool(rng.random() < 0.85) else 1
+        quarter = 0 if long_side == bool(rng.random() < LENGTHWISE) else 1
         angle = np.pi / 2 * (quarter + 2 * int(rng.integers(2)))
     else:
         angle = float(rng.uniform(0.0, 2 * np.pi))

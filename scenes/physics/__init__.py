@@ -1,1 +1,1 @@
-"""Exact contact between meshes, and physics that lets things fall into place."""
+"""Physics that lets things fall into place, exact on the true meshes."""

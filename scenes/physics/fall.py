@@ -42,7 +42,7 @@ class Region:
 def fall(
     rng: np.random.Generator, movers: Sequence[Solid], fixed: Sequence[Placed], region: Region, *, spread: float
 ) -> list[Float64]:
-    """Release bodies one after the other, turned at random, within `spread` [m] of the region's centre.
+    """Release bodies one after the other, in random rotations, within `spread` [m] of the region's centre.
 
     Returns each body's pose (4, 4) when all are at rest or time is up; some may have rolled out of the region.
     """
@@ -51,7 +51,7 @@ def fall(
     data = mujoco.MjData(model)
     placed: list[int] = []
     for number, mover in enumerate(movers):
-        reach = float(np.linalg.norm(np.maximum(np.abs(mover.low), np.abs(mover.high))))
+        reach = _radius(mover)
         angle, away = rng.uniform(0.0, 2 * np.pi), spread * np.sqrt(rng.random())
         spot = np.array(region.centre) + away * np.array([np.cos(angle), np.sin(angle)])
         top = _top_near(spot, reach, heights, low, region)
@@ -168,5 +168,5 @@ def convex_pieces(mover: Solid, most: int = 12) -> list[Float64]:
 
 
 def _pose(state: Float64) -> Float64:
-    """Turn MuJoCo's position and quaternion (w first) into a matrix."""
+    """Return the pose (4, 4) of MuJoCo's position and quaternion (w first)."""
     return pose_of(Rotation.from_quat(np.roll(state[3:], -1)).as_matrix(), state[:3])

@@ -85,7 +85,7 @@ def _deepest(item: Placed, others: Sequence[Placed]) -> float:
 
 
 def _freed(item: Placed, standing: Sequence[Placed]) -> Placed | None:
-    """Push a body out of what it lies in, the short way; None where it stays stuck."""
+    """Push a body out of what it lies in, in the shortest direction; None where it stays stuck."""
     for _ in range(STEPS):
         near = _near(item, standing)
         deep = [other for other in near if depth(item, other, ignore=DEEPEST) > DEEPEST]
@@ -97,7 +97,7 @@ def _freed(item: Placed, standing: Sequence[Placed]) -> Placed | None:
 
 
 def lowered(item: Placed, others: Sequence[Placed]) -> Placed:
-    """Lower a body until it is `CLOSE` to another, without ever crossing one on the way."""
+    """Lower a body until it is `CLOSE` to another, without ever crossing one."""
     if not others:
         return item
     # A gap shrinks no faster than the body sinks: only the smallest needs to be measured anew.
@@ -116,7 +116,7 @@ def lowered(item: Placed, others: Sequence[Placed]) -> Placed:
 
 
 def stack(movers: Sequence[Solid], poses: Sequence[Float64], fixed: Sequence[Placed]) -> Settled:
-    """Lower bodies one after the other, in their given turn and place, onto what is fixed and onto each other.
+    """Lower bodies one after the other, in their given rotation and place, onto what is fixed and onto each other.
 
     Their heights do not count: each comes from above. Ends with the first that would not be carried there.
     """
@@ -137,6 +137,6 @@ def stack(movers: Sequence[Solid], poses: Sequence[Float64], fixed: Sequence[Pla
 
 
 def _near_below(item: Placed, standing: Sequence[Placed]) -> list[Placed]:
-    """Return what a body may meet on its way down."""
+    """Return what a body may meet as it comes down."""
     low, high = item.box
     return [other for other in standing if (other.box[0] <= high)[:2].all() and (other.box[1] >= low)[:2].all()]

@@ -3,7 +3,6 @@
 A pile is built on the plane z = 0 about the origin, so that whoever places things can treat it as one.
 """
 
-import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,16 +15,19 @@ from trimesh.creation import box
 from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.assets.library import AssetError, AssetLibrary
-from multilight.scenes.cameras.pinhole import matrix4
 from multilight.scenes.geometry.overlap import boxes_meet, gap
 from multilight.scenes.geometry.solids import Placed, Solid
-from multilight.scenes.geometry.support_surfaces import convex_polygon, stacked_faces
+from multilight.scenes.geometry.support_surfaces import as_trimesh, convex_polygon, stacked_faces
 from multilight.scenes.materials import body_materials
 from multilight.scenes.meshes import Mesh
+from multilight.scenes.names import free_name
 from multilight.scenes.physics.fall import Region
 from multilight.scenes.physics.settle import Settled, settle, stack
-from multilight.scenes.spec import Body, Material, MeshAsset
+from multilight.scenes.poses import apply_pose, pose_at, translation
+from multilight.scenes.spec import Body, Material
 from multilight.scenes.still_life.placement import PlacementError, Standing
+from multilight.scenes.still_life.setting import make_body
+from multilight.scenes.streams import pick
 
 PileKind = Literal["fruit_bowl", "books", "plates", "bowls", "cups", "toys"]
 KINDS: tuple[PileKind, ...] = get_args(PileKind)
@@ -37,14 +39,15 @@ _NESTED: dict[PileKind, frozenset[str]] = {
     "bowls": frozenset({"bowl"}),
     "cups": frozenset({"cup", "tumbler"}),
 }
-_NESTS = 0.7
-"""Things stack well that rise by less than this share of their height each."""
-TALLEST = 0.45
-"""Sum of the heights [m] of nested crockery, before it goes into each other."""
-FEWEST = 3
-"""Things that make a pile."""
-_FILL = 0.75
-"""Share of a bowl's space, up to its rim, that its contents take."""
+FEWEST, TALLEST = 3, 0.45
+"""Things that make a pile; sum of the heights [m] of nested crockery, before it goes into each other."""
+# Fractions, and distances [m].
+_NESTS = 0.7  # things stack well that rise by less of their height each
+_FILL = 0.75  # of a bowl's space, up to its rim, that its contents take
+_HOLLOW = 0.55  # of the box about a bowl that is space: half of an ellipsoid is 0.52
+_POURED = 0.5 * 1.7  # of the box about a fruit: a ball fills half of it, loose balls take 1.7 times their own
+_MOST_FRUIT = 9
+_ON_TOP = 1e-3  # bodies closer than this touch
 
 
 @dataclass(frozen=True)
@@ -73,8 +76,8 @@ class Pile:
             for number, item in enumerate(placed)
             if not any(
                 other.centre_of_mass[2] > item.centre_of_mass[2]
-                and boxes_meet(item, other, 1e-3)
-                and gap(item, other) < 1e-3
+                and boxes_meet(item, other, _ON_TOP)
+                and gap(item, other) < _ON_TOP
                 for other in placed
             )
         )
@@ -82,29 +85,19 @@ class Pile:
     def bodies(
         self, rng: np.random.Generator, library: AssetLibrary, world_from_pile: Float64, *, taken: Collection[str]
     ) -> list[Body]:
-        """Clothe the members of the pile, standing at `world_from_pile` (4, 4), under names that are not `taken`.
+        """Make bodies of the members, the pile standing at `world_from_pile` (4, 4), under names that are not `taken`.
 
         They come in the order of the members; none is marked insertable (`loose` says which may be).
         """
-        clothes: dict[str, tuple[Material, ...]] = {}
+        drawn: dict[str, tuple[Material, ...]] = {}
         result: list[Body] = []
         for member in self.members:
-            known = clothes.get(member.info.id) if self.alike else None
-            materials = known or body_materials(rng, library, member.info, member.mesh)
-            clothes[member.info.id] = materials
-            name = _name(member.info.category, {*taken, *(body.name for body in result)})
-            result.append(
-                Body(
-                    name=name,
-                    role="object",
-                    category=member.info.category,
-                    geometry=MeshAsset(
-                        asset=member.info.id, mesh_sha256=member.mesh.sha256(), parts=len(member.mesh.parts)
-                    ),
-                    materials=materials,
-                    world_from_body=matrix4(world_from_pile @ member.pile_from_body),
-                )
-            )
+            info, mesh, pose = member.info, member.mesh, world_from_pile @ member.pile_from_body
+            known = drawn.get(info.id) if self.alike else None
+            drawn[info.id] = known or body_materials(rng, library, info, mesh)
+            names = {*taken, *(body.name for body in result)}
+            name = free_name(info.category, names, prefix="pile_", otherwise="object")
+            result.append(make_body(name, "object", info, mesh, drawn[info.id], pose))
         return result
 
     @property
@@ -114,8 +107,8 @@ class Pile:
 
     def standing(self) -> Standing:
         """Return the pile as one thing to place; its pose in the world times a member's in the pile is the member's."""
-        points = np.concatenate([_moved(m.mesh.vertices().astype(np.float64), m.pile_from_body) for m in self.members])
-        hull = Trimesh(points, process=False).convex_hull
+        points = [apply_pose(m.pile_from_body, m.mesh.vertices().astype(np.float64)) for m in self.members]
+        hull = Trimesh(np.concatenate(points), process=False).convex_hull
         footprint = convex_polygon(np.asarray(hull.vertices)[:, :2])
         assert footprint is not None
         first = self.members[0]
@@ -146,14 +139,6 @@ def sample_pile(
     return pile
 
 
-def _name(category: str, taken: Collection[str]) -> str:
-    plain = re.sub(r"[^a-z0-9]+", "_", category.lower()).strip("_")[:30]
-    name, number = f"pile_{plain}", 2
-    while name in taken:
-        name, number = f"pile_{plain}_{number}", number + 1
-    return name
-
-
 def _solid(mesh: Mesh) -> Solid:
     return Solid(mesh.vertices().astype(np.float64), stacked_faces(mesh))
 
@@ -161,9 +146,7 @@ def _solid(mesh: Mesh) -> Solid:
 def _plane() -> Placed:
     """Return the plane on which piles are built, as a slab."""
     slab = box((3.0, 3.0, 0.1))
-    pose = np.eye(4)
-    pose[2, 3] = -0.05
-    return Placed(Solid(np.asarray(slab.vertices), np.asarray(slab.faces)), pose)
+    return Placed(Solid(np.asarray(slab.vertices), np.asarray(slab.faces)), translation((0.0, 0.0, -0.05)))
 
 
 def _suitable(
@@ -183,7 +166,7 @@ def _suitable(
 def _pick(rng: np.random.Generator, found: Sequence[tuple[AssetInfo, Mesh]], what: str) -> tuple[AssetInfo, Mesh]:
     if not found:
         raise PlacementError(f"no {what} installed for a pile; run `multilight assets fetch`")
-    return found[int(rng.integers(len(found)))]
+    return pick(rng, found)
 
 
 def _fruit_bowl(rng: np.random.Generator, library: AssetLibrary, widest: float) -> Pile:
@@ -191,13 +174,12 @@ def _fruit_bowl(rng: np.random.Generator, library: AssetLibrary, widest: float) 
     bowls = [b for b in _suitable(library, frozenset({"bowl"}), (0.15, widest)) if _is_hollow(b[1])]
     info, mesh = _pick(rng, bowls, "bowl")
     low, high = mesh.bounds().astype(float)
-    space = 0.55 * float(np.prod(high - low)) * _FILL
+    space = _HOLLOW * float(np.prod(high - low)) * _FILL
     chosen: list[tuple[AssetInfo, Mesh]] = []
     fruit = _suitable(library, _FRUIT, (0.02, 0.45 * float((high - low)[:2].min())))
-    while len(chosen) < 9:
+    while len(chosen) < _MOST_FRUIT:
         item = _pick(rng, fruit, "fruit that fits the bowl")
-        # Loosely poured spheres take up about 1.7 times their volume; a ball is half of its box.
-        space -= 0.5 * 1.7 * float(np.prod(np.ptp(item[1].bounds(), axis=0)))
+        space -= _POURED * float(np.prod(np.ptp(item[1].bounds(), axis=0)))
         if space < 0 and len(chosen) >= 2:
             break
         chosen.append(item)
@@ -220,11 +202,11 @@ def _within(settled: Settled, radius: float) -> Settled:
 
 
 def _is_hollow(mesh: Mesh) -> bool:
-    """Tell whether a vessel is open: seen from above its middle lies low."""
-    solid = Trimesh(mesh.vertices(), stacked_faces(mesh), process=False)
+    """Tell whether a vessel is open: seen from above its centre lies low."""
+    solid = as_trimesh(mesh)
     height = float(solid.bounds[1, 2])
-    middle = solid.ray.intersects_first([[0.0003, 0.0002, height + 0.1]], [[0.0, 0.0, -1.0]])
-    return bool(middle[0] >= 0 and solid.triangles[middle[0], :, 2].max() < 0.5 * height)
+    (face,) = solid.ray.intersects_first([[0.0003, 0.0002, height + 0.1]], [[0.0, 0.0, -1.0]])
+    return bool(face >= 0 and solid.triangles[face, :, 2].max() < 0.5 * height)
 
 
 def _heap(rng: np.random.Generator, library: AssetLibrary, widest: float) -> Pile:
@@ -241,7 +223,7 @@ def _books(rng: np.random.Generator, library: AssetLibrary, widest: float) -> Pi
     found = _suitable(library, frozenset({"book"}), (0.1, widest))
     chosen = [_pick(rng, found, "books") for _ in range(int(rng.integers(3, 7)))]
     chosen.sort(key=lambda entry: -float(np.prod(np.ptp(entry[1].bounds(), axis=0)[:2])))
-    poses = [_turned(rng, turn=0.12, half=0.5, shift=0.008) for _ in chosen]
+    poses = [_rotated(rng, spread=0.12, shift=0.008) for _ in chosen]
     made: dict[str, Solid] = {}
     solids = [made.setdefault(info.id, _solid(mesh)) for info, mesh in chosen]
     return _pile("books", chosen, stack(solids, poses, [_plane()]))
@@ -256,9 +238,9 @@ def _crockery(rng: np.random.Generator, library: AssetLibrary, kind: PileKind, w
         mesh = found[int(number)][1]
         low, high = mesh.bounds().astype(float)
         x, y, height = high - low
-        # What is not round lies the same way; a shift would keep steep walls apart.
-        turn, shift = (np.pi if abs(x - y) < 0.01 * x else 0.03), 0.0006 if kind == "plates" else 0.0
-        poses = [_turned(rng, turn=turn, half=0.5, shift=shift) for _ in range(count)]
+        # What is not round lies in one direction; a shift would keep steep walls apart.
+        spread, shift = (np.pi if abs(x - y) < 0.01 * x else 0.03), 0.0006 if kind == "plates" else 0.0
+        poses = [_rotated(rng, spread=spread, shift=shift) for _ in range(count)]
         poses = poses[: max(FEWEST, int(TALLEST / height))]
         count = len(poses)
         pile = _pile(kind, [found[int(number)]] * count, stack([_solid(mesh)] * count, poses, [_plane()]))
@@ -267,13 +249,10 @@ def _crockery(rng: np.random.Generator, library: AssetLibrary, kind: PileKind, w
     raise PlacementError(f"no {kind} installed that go into one another; run `multilight assets fetch`")
 
 
-def _turned(rng: np.random.Generator, *, turn: float, half: float, shift: float) -> Float64:
-    """Draw a pose (4, 4): turned by up to about `turn` [rad], with a chance `half` half round, and shifted a little."""
-    angle = rng.normal(0.0, turn) + (np.pi if rng.random() < half else 0.0)
-    pose = np.eye(4)
-    pose[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-    pose[:2, 3] = rng.normal(0.0, shift, 2)
-    return pose
+def _rotated(rng: np.random.Generator, *, spread: float, shift: float) -> Float64:
+    """Draw a pose (4, 4): rotated by about `spread` [rad], every second one by half a circle more, and shifted [m]."""
+    angle = rng.normal(0.0, spread) + (np.pi if rng.random() < 0.5 else 0.0)
+    return pose_at(rng.normal(0.0, shift, 2), 0.0, angle)
 
 
 def _pile(kind: PileKind, chosen: Sequence[tuple[AssetInfo, Mesh]], settled: Settled) -> Pile:
@@ -283,15 +262,10 @@ def _pile(kind: PileKind, chosen: Sequence[tuple[AssetInfo, Mesh]], settled: Set
 
 
 def _centred(pile: Pile) -> Pile:
-    """Shift a pile so that its middle stands over the origin."""
+    """Shift a pile so that its centre stands over the origin."""
     if not pile.members:
         return pile
-    middle = np.mean([m.pile_from_body[:2, 3] for m in pile.members], axis=0)
-    shift = np.eye(4)
-    shift[:2, 3] = -middle
+    centre = np.mean([m.pile_from_body[:2, 3] for m in pile.members], axis=0)
+    shift = translation((*-centre, 0.0))
     members = tuple(Member(m.info, m.mesh, shift @ m.pile_from_body) for m in pile.members)
     return Pile(pile.kind, members, pile.dropped)
-
-
-def _moved(points: Float64, pose: Float64) -> Float64:
-    return np.asarray(points @ pose[:3, :3].T + pose[:3, 3])

@@ -11,18 +11,21 @@ from trimesh.collision import CollisionManager
 from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.geometry.solids import Solid
-from multilight.scenes.geometry.support_surfaces import SupportSurface, convex_polygon, inside_convex, stacked_faces
+from multilight.scenes.geometry.support_surfaces import SupportSurface, convex_polygon, stacked_faces, stands
 from multilight.scenes.meshes import Mesh
+from multilight.scenes.poses import about_z, pose_of
 
 CONTACT = 6e-4
 """Vertices this close [m] to the lowest one carry the object: less than what counts as contact (`geometry.contact`)."""
-TIPPING, TIPS = np.radians(6.0), 16
-"""How far [rad] something may tip to find its rest, and on how many faces it tries."""
-GAP = 0.004
-"""Smallest distance [m] between the convex hulls of two objects."""
-EDGE = 0.015
-"""Smallest distance [m] of a footprint to the edge of the table's free surface."""
-CANDIDATES = 48
+GAP, EDGE = 0.004, 0.015
+"""Smallest distance [m] between the convex hulls of two objects, and of a footprint to the edge of a free surface."""
+# How things lie [m, rad].
+TIPPING, TIPS = np.radians(6.0), 16  # how far something may tip to find its rest, on how many faces it tries
+FACET = 0.08  # fraction of a block's hull that a face must have to lie on
+CANDIDATES = 48  # poses of an object, of which the cheapest free one is taken
+NEAREST, FURTHEST = 0.01, 0.12  # from the object beside which one is put: a group that one looks at together
+HOVER = 0.0003  # air below objects at most: no two surfaces coincide, and none is seen to float
+AVERTED, SLACK = 0.25, 0.8  # objects that look anywhere [probability]; the others' deviation from the cameras
 BLOCKS = frozenset({"block", "blocks", "box", "boxes", "carton", "cube", "dice", "die"})
 """Categories whose members may lie on any face that carries them."""
 
@@ -35,16 +38,21 @@ class PlacementError(RuntimeError):
 class Standing:
     """An object in a resting pose: lowest point at z = 0, upright axis through the origin.
 
-    `hull` is its convex hull in that pose [m]; `turn` (3, 3) takes the asset's frame there, followed by a lift [m]
+    `hull` is its convex hull in that pose [m]; `rotation` (3, 3) takes the asset's frame there, followed by a lift [m]
     along +Z; `footprint` (N, 2) is the counter-clockwise outline seen from above.
     """
 
     info: AssetInfo
     mesh: Mesh
     hull: Trimesh
-    turn: Float64
+    rotation: Float64
     lift: float
     footprint: Float64
+
+    @property
+    def standing_from_body(self) -> Float64:
+        """The pose (4, 4) that takes the asset's frame to this one."""
+        return pose_of(self.rotation, (0.0, 0.0, self.lift))
 
     @property
     def height(self) -> float:
@@ -96,50 +104,40 @@ def resting_poses(info: AssetInfo, mesh: Mesh) -> list[Standing]:
     vertices, faces = mesh.vertices().astype(np.float64), stacked_faces(mesh)
     hull = Trimesh(vertices, faces, process=False).convex_hull
     centre = Solid(vertices, faces).centre_of_mass
-    turns = [np.eye(3)]
+    rotations = [np.eye(3)]
     if info.category in BLOCKS:
-        normals = hull.facets_normal[hull.facets_area > 0.08 * hull.area]
-        turns += [
-            Rotation.align_vectors([[0, 0, -1]], [normal])[0].as_matrix() for normal in normals if normal[2] > -0.99
-        ]
-    standing = [pose for turn in turns if (pose := _standing(info, mesh, hull, centre, turn)) is not None]
+        normals = hull.facets_normal[hull.facets_area > FACET * hull.area]
+        rotations += [_facing_down(normal) for normal in normals if normal[2] > -0.99]
+    standing = [pose for rotation in rotations if (pose := _standing(info, mesh, hull, centre, rotation)) is not None]
     if standing:
         return standing
-    tipped = (_standing(info, mesh, hull, centre, turn) for turn in _tipping(hull))
+    tipped = (_standing(info, mesh, hull, centre, rotation) for rotation in _tipping(hull))
     return [pose for pose in tipped if pose is not None][:1]
 
 
+def _facing_down(normal: Float64) -> Float64:
+    """Return the rotation (3, 3) that makes a face of that normal (3,) look down."""
+    return np.asarray(Rotation.align_vectors([[0, 0, -1]], [normal])[0].as_matrix())
+
+
 def _tipping(hull: Trimesh) -> Iterator[Float64]:
-    """Yield the turns (3, 3) that put a face on the ground which all but lies there already, the flattest first."""
+    """Yield the rotations (3, 3) that lay a face on the ground which all but lies there already, the flattest first."""
     normals = np.asarray(hull.face_normals)
     for face in np.argsort(normals[:, 2])[:TIPS]:
         if normals[face, 2] < -np.cos(TIPPING):
-            yield Rotation.align_vectors([[0, 0, -1]], [normals[face]])[0].as_matrix()
+            yield _facing_down(normals[face])
 
 
-def _standing(info: AssetInfo, mesh: Mesh, hull: Trimesh, centre: Float64, turn: Float64) -> Standing | None:
+def _standing(info: AssetInfo, mesh: Mesh, hull: Trimesh, centre: Float64, rotation: Float64) -> Standing | None:
     """Put a hull down in a pose; None where its centre of mass lies outside the points that carry it."""
-    vertices = mesh.vertices().astype(np.float64) @ turn.T
+    vertices = mesh.vertices().astype(np.float64) @ rotation.T
     lowest = float(vertices[:, 2].min())
-    carried = convex_polygon(vertices[vertices[:, 2] <= lowest + CONTACT, :2])
-    footprint = convex_polygon(np.asarray(hull.vertices) @ turn.T[:, :2])
-    if carried is None or footprint is None or not inside_convex(carried, (turn @ centre)[:2]):
+    footprint = convex_polygon(np.asarray(hull.vertices) @ rotation.T[:, :2])
+    if footprint is None or not stands(vertices, (rotation @ centre,), contact=CONTACT):
         return None
     posed = hull.copy()
-    posed.apply_transform(_pose(turn, np.array([0.0, 0.0, -lowest])))
-    return Standing(info, mesh, posed, turn, -lowest, footprint)
-
-
-def _pose(turn: Float64, offset: Float64) -> Float64:
-    """Build a 4x4 matrix."""
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = turn, offset
-    return pose
-
-
-def _yaw(angle: float) -> Float64:
-    """Turn about +Z, (3, 3)."""
-    return np.array([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
+    posed.apply_transform(pose_of(rotation, (0.0, 0.0, -lowest)))
+    return Standing(info, mesh, posed, rotation, -lowest, footprint)
 
 
 def arrange(rng: np.random.Generator, objects: Sequence[Standing], stage: Stage) -> Arrangement:
@@ -154,11 +152,11 @@ def arrange(rng: np.random.Generator, objects: Sequence[Standing], stage: Stage)
         probe = CollisionManager()
         probe.add_object("probe", item.hull)
         for _ in range(CANDIDATES):
-            turn = _yaw(_facing(rng, stage.front))
-            footprint = item.footprint @ turn[:2, :2].T
+            pose = about_z(_facing(rng, stage.front))
+            footprint = item.footprint @ pose[:2, :2].T
             spot = _spot(rng, group.footprints, footprint, stage.focus)
             cost = _cost(rng, item, spot, stage)
-            pose = _pose(turn, np.array([*spot, stage.height]))
+            pose[:3, 3] = [*spot, stage.height]
             if (best is None or cost < best[0]) and stage.supports(footprint + spot) and _clear(probe, pose, group):
                 best = (cost, pose, footprint + spot)
         if best is None:
@@ -166,31 +164,31 @@ def arrange(rng: np.random.Generator, objects: Sequence[Standing], stage: Stage)
         _, pose, footprint = best
         group.solids.add_object(str(index), item.hull, pose)
         group.footprints.append(footprint)
-        hover = rng.uniform(0.0, 0.0003)
-        group.poses.append(pose @ _pose(item.turn, np.array([0.0, 0.0, item.lift + hover])))
+        hover = rng.uniform(0.0, HOVER)
+        group.poses.append(pose @ pose_of(item.rotation, (0.0, 0.0, item.lift + hover)))
     return group
 
 
 def _facing(rng: np.random.Generator, front: Float64) -> float:
-    """Draw a yaw [rad]: three in four turn their front (-Y, as assets come) roughly to the cameras."""
-    if rng.random() < 0.25:
+    """Draw a yaw [rad]: most have their front (-Y, as assets come) roughly to the cameras."""
+    if rng.random() < AVERTED:
         return float(rng.uniform(0.0, 2 * np.pi))
-    return float(np.arctan2(front[1], front[0]) + np.pi / 2 + rng.normal(0.0, 0.8))
+    return float(np.arctan2(front[1], front[0]) + np.pi / 2 + rng.normal(0.0, SLACK))
 
 
 def _spot(rng: np.random.Generator, footprints: list[Float64], footprint: Float64, focus: Float64) -> Float64:
-    """Draw a place 1 to 12 cm beside one of the objects that stand already (the first: near the focus)."""
+    """Draw a place close beside one of the objects that stand already (the first: near the focus)."""
     if not footprints:
         return focus + rng.normal(0.0, 0.02, 2)
     anchor = footprints[int(rng.integers(len(footprints)))]
     angle = rng.uniform(0.0, 2 * np.pi)
-    way = np.array([np.cos(angle), np.sin(angle)])
-    # Two convex outlines whose extents along `way` do not overlap are at least `gap` apart.
-    gap = 0.01 + 0.11 * rng.beta(1.0, 2.5)
-    reach = float((anchor @ way).max() - (footprint @ way).min()) + gap
-    across = np.array([-way[1], way[0]])
+    away = np.array([np.cos(angle), np.sin(angle)])
+    # Two convex outlines whose shadows on the line along `away` do not overlap are at least `gap` apart.
+    gap = NEAREST + (FURTHEST - NEAREST) * rng.beta(1.0, 2.5)
+    reach = float((anchor @ away).max() - (footprint @ away).min()) + gap
+    across = np.array([-away[1], away[0]])
     slide = float(anchor.mean(axis=0) @ across) + rng.normal(0.0, 0.02)
-    return way * reach + across * slide
+    return away * reach + across * slide
 
 
 def _cost(rng: np.random.Generator, item: Standing, spot: Float64, stage: Stage) -> float:

@@ -5,17 +5,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from trimesh import Trimesh
 
-from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.materials import metres_per_uv, pick_texture, sample_material, textured
 from multilight.scenes.spec import Material
 from multilight.scenes.still_life.placement import Standing, resting_poses
+from multilight.scenes.streams import pick, weighted_pick
 
 EDGE = 0.008
 """Smallest distance [m] of an object's footprint to the plinth's edge."""
 TALLEST = 0.22
 """Objects higher than this [m] stay on the floor, lest they tower over all others."""
+FITTING = 4
+"""Plinths that an object is put on one of: the first that are wide enough."""
 _FINISHES = {"paint": 0.45, "stone": 0.2, "wood": 0.15, "lacquer": 0.08, "mirror": 0.06, "polished stone": 0.06}
 
 
@@ -26,17 +28,10 @@ class Raised:
     standing: Standing
     plinth: AssetInfo | None = None
 
-    @property
-    def standing_from_body(self) -> Float64:
-        """Return the pose (4, 4) of the object's mesh in the arranged piece's frame."""
-        pose = np.eye(4)
-        pose[:3, :3], pose[2, 3] = self.standing.turn, self.standing.lift
-        return pose
-
     def material(self, rng: np.random.Generator, library: AssetLibrary) -> Material:
         """Draw what the plinth is made of."""
         assert self.plinth is not None
-        finish = str(rng.choice(list(_FINISHES), p=list(_FINISHES.values())))
+        finish = weighted_pick(rng, _FINISHES)
         scale = metres_per_uv(library.mesh(self.plinth.id).parts[0]) or 1.0
         texture = pick_texture(rng, library, frozenset({finish}), laid=False)
         if finish in ("wood", "stone") and texture is not None:
@@ -44,24 +39,24 @@ class Raised:
         return sample_material(rng, finish)
 
 
-def raise_some(rng: np.random.Generator, library: AssetLibrary, items: list[Standing], share: float) -> list[Raised]:
-    """Put the share of the objects that plinths can carry on plinths."""
-    if share == 0:
+def raise_some(rng: np.random.Generator, library: AssetLibrary, items: list[Standing], fraction: float) -> list[Raised]:
+    """Put a fraction of the objects that plinths can carry on plinths."""
+    if fraction == 0:
         return [Raised(item) for item in items]
     plinths = [info for info in library.list("surrounding") if info.category == "plinth"]
     result = []
     for item in items:
         reach = float(np.linalg.norm(item.footprint, axis=1).max()) + EDGE
         fit = [info for info in plinths if info.size is not None and _inner(info.size) >= reach]
-        if fit and item.info.role == "object" and item.height <= TALLEST and rng.random() < share:
-            result.append(_on(item, fit[int(rng.integers(min(4, len(fit))))], library))
+        if fit and item.info.role == "object" and item.height <= TALLEST and rng.random() < fraction:
+            result.append(_on(item, pick(rng, fit[:FITTING]), library))
         else:
             result.append(Raised(item))
     return result
 
 
 def _inner(size: tuple[float, float, float]) -> float:
-    """Return a radius [m] that a plinth of that extent surely covers: that of a hexagon's inner circle."""
+    """Return a radius [m] that a plinth of that size surely covers: that of a hexagon's inner circle."""
     return 0.5 * min(size[0], size[1]) * float(np.cos(np.pi / 6))
 
 

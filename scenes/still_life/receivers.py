@@ -1,6 +1,6 @@
 """Mirror-like and glossy receivers: table tops, plates, trays and mirrors that show the objects again.
 
-They are what models of compositing fail at, so a stated share of the scenes has one.
+They are what models of compositing fail at, so a stated fraction of the scenes has one.
 """
 
 from dataclasses import replace
@@ -13,32 +13,41 @@ from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.colour import linear_from_hex
 from multilight.scenes.geometry.support_surfaces import SupportError, find_support
 from multilight.scenes.materials import METALS, body_materials, sample_material
+from multilight.scenes.poses import about_z, apply_pose, pose_at
 from multilight.scenes.spec import Material
 from multilight.scenes.still_life.placement import PlacementError
 from multilight.scenes.still_life.setting import Setting, make_body, without_box
+from multilight.scenes.streams import pick, weighted_pick
 
 ReceiverKind = Literal[
     "none", "mirror top", "mirror plate", "chrome tray", "standing mirror", "glass top", "glass plate",
     "stone plate", "lacquer top",
 ]  # fmt: skip
-SHARES: dict[ReceiverKind, float] = {
+PROBABILITIES: dict[ReceiverKind, float] = {
     "none": 0.70,
     "mirror top": 0.04, "mirror plate": 0.04, "chrome tray": 0.03, "standing mirror": 0.04,
     "glass top": 0.03, "glass plate": 0.03, "stone plate": 0.04, "lacquer top": 0.05,
 }  # fmt: skip
 """How often each comes: 15 % of the scenes have a mirror, another 15 % glass or a polish nearly as smooth."""
-MIRRORS = frozenset({"mirror top", "mirror plate", "chrome tray", "standing mirror"})
 LOOSE = frozenset({"mirror plate", "glass plate", "stone plate", "chrome tray", "standing mirror"})
 """What stands on a surface, rather than being it."""
+_INSTEAD_OF_TOPS: dict[ReceiverKind, ReceiverKind] = {
+    "mirror top": "mirror plate", "glass top": "glass plate", "lacquer top": "stone plate",
+}  # fmt: skip
+MOST_ON_PLATE = 5
+"""Objects that a plate or a tray has room for."""
+BEFORE_MIRROR, LEAST_FREE = 0.7, 0.16
+"""Half the angle [rad] in which cameras look into a standing mirror; surface [m²] that it leaves: as tables have."""
 GAP = 0.0004
 """Air [m] between a plate and what it lies on, so that no two surfaces coincide."""
+MOST_PLACES = 250
+"""Places on a surface that are tried for one, about."""
 
 
 def choose_receiver(rng: np.random.Generator, *, loose: bool = False) -> ReceiverKind:
-    """Draw a receiver by `SHARES`; `loose`: where there is no table top to change, plates stand in."""
-    kind = str(rng.choice(list(SHARES), p=list(SHARES.values())))
-    instead = {"mirror top": "mirror plate", "glass top": "glass plate", "lacquer top": "stone plate"}
-    return instead.get(kind, kind) if loose else kind  # type: ignore[return-value]
+    """Draw a receiver; `loose`: where there is no table top to change, plates stand in."""
+    kind = weighted_pick(rng, PROBABILITIES)
+    return _INSTEAD_OF_TOPS.get(kind, kind) if loose else kind
 
 
 def receiver_material(rng: np.random.Generator, kind: ReceiverKind) -> Material:
@@ -70,7 +79,7 @@ def with_receiver(rng: np.random.Generator, library: AssetLibrary, setting: Sett
     category = {"chrome tray": "tray", "standing mirror": "mirror"}.get(kind, "slab")
     found = [i for i in library.list("surrounding") if i.category == category and i.id.startswith("builtin/")]
     found = [info for info in found if info.category != "mirror" or "standing" in info.id]
-    info = found[int(rng.integers(len(found)))]
+    info = pick(rng, found)
     mesh = library.mesh(info.id)
     low, high = (corner.astype(np.float64) for corner in mesh.bounds())
     local = _pose_for(rng, setting, low, high, behind=kind == "standing mirror")
@@ -78,53 +87,39 @@ def with_receiver(rng: np.random.Generator, library: AssetLibrary, setting: Sett
     materials = body_materials(rng, library, info, mesh)
     made = (receiver_material(rng, kind), *materials[1:])
     body = make_body(category, "support", info, mesh, made, pose)
-    bodies = (*setting.bodies, body)
+    setting = replace(setting, bodies=(*setting.bodies, body), solids=(*setting.solids, category))
     if kind == "standing mirror":
-        corners = (np.array([low, high]) @ local[:3, :3].T + local[:3, 3])[:, :2]
+        corners = apply_pose(local, np.array([low, high]))[:, :2]
         free = without_box(setting.surface, corners.min(axis=0) - 0.01, corners.max(axis=0) + 0.01)
-        if free.area < 0.16:
-            raise PlacementError(f"a mirror of {info.size} m leaves {free.area:.2f} m² of the surface, need 0.16")
-        return replace(
-            setting, bodies=bodies, solids=(*setting.solids, category), surface=free, opening=min(setting.opening, 0.7)
-        )
+        if free.area < LEAST_FREE:
+            raise PlacementError(f"a mirror of {info.size} m leaves {free.area:.2f} m² free, need {LEAST_FREE}")
+        return replace(setting, surface=free, opening=min(setting.opening, BEFORE_MIRROR))
     try:
         surface = find_support(mesh, smallest=0.3)
     except SupportError as error:
         raise PlacementError(f"{info.id}: {error}") from None
-    return replace(
-        setting,
-        bodies=bodies,
-        solids=(*setting.solids, category),
-        surface=surface,
-        world_from_surface=pose,
-        most=min(setting.most, 5),
-    )
+    return replace(setting, surface=surface, world_from_surface=pose, most=min(setting.most, MOST_ON_PLATE))
 
 
 def _pose_for(rng: np.random.Generator, setting: Setting, low: Float64, high: Float64, *, behind: bool) -> Float64:
-    """Find where a box fits wholly on the surface, in its frame (4, 4): the middle, or at the back facing the front.
+    """Find where a box fits wholly on the surface, in its frame (4, 4): its centre, or the back, facing the front.
 
     Raises `PlacementError` where it fits nowhere.
     """
     surface = setting.surface
-    turn = setting.world_from_surface[:2, :2]
-    # Of the four ways along the surface's sides, the one whose -Y looks to the cameras.
-    front = turn.T @ np.array([np.cos(setting.front), np.sin(setting.front)])
+    # Of the four directions along the surface's sides, the one whose -Y looks to the cameras.
+    front = setting.world_from_surface[:2, :2].T @ np.array([np.cos(setting.front), np.sin(setting.front)])
     quarter = round(float(np.arctan2(front[1], front[0]) + np.pi / 2) / (np.pi / 2))
     quarters = [quarter] if behind else [quarter, quarter + 1]
     corners = np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]])
     places = surface.centres[surface.clearance[surface.free] > 0.02]
     forward = places @ front
-    # A mirror stands as far back as it can, a plate in the middle.
+    # A mirror stands as far back as it can, a plate at the centre.
     score = forward if behind else np.linalg.norm(places - places.mean(axis=0), axis=1)
     order = np.argsort(score + rng.uniform(0.0, 0.05, len(places)))
     for quarter in quarters:
-        pose = np.eye(4)
-        angle = quarter * np.pi / 2
-        pose[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-        outline = corners @ pose[:2, :2].T
-        for place in places[order[:: max(1, len(order) // 250)]]:
+        outline = corners @ about_z(quarter * np.pi / 2)[:2, :2].T
+        for place in places[order[:: max(1, len(order) // MOST_PLACES)]]:
             if surface.supports(outline + place, 0.01):
-                pose[:3, 3] = [*place, surface.height + GAP]
-                return pose
+                return pose_at(place, surface.height + GAP, quarter * np.pi / 2)
     raise PlacementError(f"a plate of {np.ptp(corners, axis=0).round(2)} m does not fit the surface")

@@ -1,28 +1,79 @@
-"""Which table and which objects come into a scene."""
+"""Which table and which objects come into a scene: draws of assets by category, and of how they rest."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from multilight.scenes.arrays import Int64
 from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.assets.library import AssetError, AssetLibrary
 from multilight.scenes.geometry.support_surfaces import SupportError, SupportSurface, find_support
 from multilight.scenes.meshes import Mesh
 from multilight.scenes.still_life.placement import PlacementError, Standing, resting_poses
+from multilight.scenes.still_life.setting import Setting
+from multilight.scenes.streams import pick
 
 SMALLEST, LARGEST = 0.02, 0.55
 """Longest side [m] of objects that may stand on a table."""
-INSERTABLE = (0.06, 0.45)
-"""Longest side [m] of insertable objects."""
-THIN = 0.03
-"""Their middle side is at least this long [m]: pencils and spoons are clutter."""
+INSERTABLE, THIN = (0.06, 0.45), 0.03
+"""Longest side [m] of insertable objects; their second longest at least: pencils and spoons are clutter."""
 TALL, SMALL = 0.17, 0.12
 """A scene holds an object at least `TALL` [m] high and one whose longest side is at most `SMALL` [m]."""
-CROWDING = 0.35
-"""Share of the free surface that the objects' footprints may take."""
-UNLIT = 0.2
-"""Share of the scenes that may hold lamps and displays beside the one that glows: mostly switched off."""
+CROWDING, LEAST_FOOTPRINT = 0.35, 0.004
+"""Fraction of a free surface that footprints may take; what is set aside for an object still to come [m²]: a mug's."""
+UNLIT, GLOWING_INSERTED, AS_IT_COMES = 0.2, 0.8, 0.5
+"""Probabilities that lamps and displays may stand beside the one that glows, mostly switched off; that what glows is
+insertable, where the draw leaves it out; that an object keeps its own resting pose, besides its turn among them.
+"""
 
 Size = tuple[float, float, float]
+Choice = tuple[list[Standing], list[int], int | None]
+"""Objects, the indices of the insertable ones, and the index of the one that glows."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What is wanted of a still life in one attempt."""
+
+    attempt: int
+    objects: int
+    insertable: int
+    glows: bool
+    piled: bool = False
+
+
+def draw_by_category(rng: np.random.Generator, infos: Sequence[AssetInfo], *, evenly: bool = True) -> AssetInfo:
+    """Draw a category, then one of its assets, of at least one.
+
+    Categories are as likely as each other, or else in proportion to the square root of their numbers of members.
+    """
+    names = [info.category for info in infos]
+    categories = sorted(set(names))
+    if evenly:
+        wanted = pick(rng, categories)
+    else:
+        weights = np.sqrt([names.count(category) for category in categories])
+        wanted = categories[int(rng.choice(len(categories), p=weights / weights.sum()))]
+    return pick(rng, [info for info in infos if info.category == wanted])
+
+
+def unused(infos: list[AssetInfo], chosen: Sequence[Standing]) -> list[AssetInfo]:
+    """Keep the assets of categories that were not chosen yet, or all where none is left."""
+    used = {item.info.category for item in chosen}
+    return [info for info in infos if info.category not in used] or infos
+
+
+def draw_standing(
+    rng: np.random.Generator, library: AssetLibrary, info: AssetInfo, *, as_it_comes: float = AS_IT_COMES
+) -> Standing | None:
+    """Load an object and draw one of its resting poses, its own most often; None where it is broken or falls over."""
+    try:
+        poses = resting_poses(info, library.mesh(info.id))
+    except AssetError:
+        return None
+    if not poses:
+        return None
+    return poses[0] if rng.random() < as_it_comes else pick(rng, poses)
 
 
 def choose_table(rng: np.random.Generator, library: AssetLibrary) -> tuple[AssetInfo, Mesh, SupportSurface]:
@@ -33,7 +84,7 @@ def choose_table(rng: np.random.Generator, library: AssetLibrary) -> tuple[Asset
     tables = [info for info in library.list("table") if info.size is not None and 0.3 <= info.size[2] <= 1.6]
     refused = []
     while tables:
-        info = _draw(rng, tables)
+        info = draw_by_category(rng, tables, evenly=False)
         try:
             mesh = library.mesh(info.id)
             return info, mesh, find_support(mesh)
@@ -43,98 +94,81 @@ def choose_table(rng: np.random.Generator, library: AssetLibrary) -> tuple[Asset
     raise PlacementError(f"no usable table among {len(refused)} installed; the last: {(refused or ['none'])[-1]}")
 
 
-def choose_objects(
-    rng: np.random.Generator, library: AssetLibrary, *, count: int, insertable: int, area: float, glows: bool
-) -> tuple[list[Standing], list[int], int | None]:
-    """Draw `count` different objects for a free surface of `area` [m²].
+def choose_objects(rng: np.random.Generator, library: AssetLibrary, wanted: Wanted, setting: Setting) -> Choice:
+    """Draw different objects of table size, for the free surface.
 
-    Returns the objects, the indices of the insertable ones, and the index of the one that glows (None unless
-    `glows` and an installed asset can). The first is tall, the second small, the rest whatever fits; categories
-    repeat only when they run out. Raises `PlacementError` where too few objects are installed.
+    None glows unless that is wanted and an installed asset can. The first is tall, the second small, the rest
+    whatever fits; categories repeat only when they run out. Raises `PlacementError` where too few are installed.
     """
-    pool = [info for info in library.list("object") if info.size and SMALLEST <= max(info.size) <= LARGEST]
-    lamps = [info for info in pool if info.emissive_part is not None]
-    if rng.random() >= UNLIT:
-        pool = [info for info in pool if info.emissive_part is None]
+    count, area = wanted.objects, setting.surface.area
+    left = [info for info in library.list("object") if info.size and SMALLEST <= max(info.size) <= LARGEST]
+    with_unlit = rng.random() < UNLIT
     chosen: list[Standing] = []
     budget = CROWDING * area
     glowing: int | None = None
     while len(chosen) < count:
         slot = len(chosen)
-        if glows and glowing is None and slot == min(2, count - 1) and lamps:
-            wanted = lamps
-        else:
-            wanted = _unused([info for info in pool if _suits(info, slot, insertable)], chosen)
-        wanted = [info for info in wanted if _footprint(info) <= budget - 0.004 * (count - slot)]
-        if not wanted:
-            raise PlacementError(f"found {len(chosen)} of {count} objects that fit {area:.2f} m²; install more")
-        info = _draw(rng, wanted)
-        pool = [other for other in pool if other is not info]
-        lamps = [lamp for lamp in lamps if lamp is not info]
-        standing = _stand(rng, library, info)
+        dark = wanted.glows and glowing is None
+        lamp = dark and slot == min(2, count - 1)
+        room = budget - LEAST_FOOTPRINT * (count - slot)
+        fitting = _candidates(left, chosen, wanted.insertable, lamp=lamp, with_unlit=with_unlit)
+        fitting = [info for info in fitting if _footprint(info) <= room]
+        if not fitting:
+            raise PlacementError(f"found {slot} of {count} objects that fit {area:.2f} m²; install more")
+        info = draw_by_category(rng, fitting, evenly=False)
+        left.remove(info)
+        standing = draw_standing(rng, library, info)
         if standing is None:
             continue
-        if glows and glowing is None and info.emissive_part is not None:
+        if dark and info.emissive_part is not None:
             glowing = slot
         chosen.append(standing)
         budget -= _footprint(info)
-    return chosen, _choose_insertable(rng, chosen, insertable, glowing), glowing
+    return chosen, _choose_insertable(rng, chosen, wanted.insertable, glowing), glowing
+
+
+def _candidates(
+    left: list[AssetInfo], chosen: list[Standing], insertable: int, *, lamp: bool, with_unlit: bool
+) -> list[AssetInfo]:
+    """List what may come next: where a `lamp` is wanted what can glow, if there is any; else what suits the slot."""
+    lamps = [info for info in left if info.emissive_part is not None]
+    if lamp and lamps:
+        return lamps
+    plain = [info for info in left if with_unlit or info.emissive_part is None]
+    return unused([info for info in plain if _suits(info, len(chosen), insertable)], chosen)
+
+
+def _size(info: AssetInfo) -> Size:
+    """Return the size (x, y, z) of an asset [m], zero where it is not known."""
+    return info.size or (0.0, 0.0, 0.0)
 
 
 def _suits(info: AssetInfo, slot: int, insertable: int) -> bool:
     """Tell whether an object suits a slot: the first is tall, the second small, enough of them insertable."""
-    size: Size = info.size or (0.0, 0.0, 0.0)
-    if slot < insertable + 1 and not _is_insertable(size):
+    if slot < insertable + 1 and not _is_insertable(info):
         return False
     if slot == 0:
-        return size[2] >= TALL
-    return slot != 1 or max(size) <= SMALL
+        return _size(info)[2] >= TALL
+    return slot != 1 or max(_size(info)) <= SMALL
 
 
-def _is_insertable(size: Size) -> bool:
-    """Tell whether an object of that size (x, y, z) [m] is neither tiny, thin nor huge."""
-    return INSERTABLE[0] <= max(size) <= INSERTABLE[1] and sorted(size)[1] >= THIN
-
-
-def _unused(infos: list[AssetInfo], chosen: list[Standing]) -> list[AssetInfo]:
-    """Keep the categories that are not on the table yet, or all where none is left."""
-    used = {item.info.category for item in chosen}
-    return [info for info in infos if info.category not in used] or infos
-
-
-def _draw(rng: np.random.Generator, infos: list[AssetInfo]) -> AssetInfo:
-    """Draw a category, then an asset: categories with many members come more often, but not in proportion."""
-    categories = sorted({info.category for info in infos})
-    sizes = np.sqrt([sum(info.category == category for info in infos) for category in categories])
-    wanted = categories[int(rng.choice(len(categories), p=sizes / sizes.sum()))]
-    members = [info for info in infos if info.category == wanted]
-    return members[int(rng.integers(len(members)))]
+def _is_insertable(info: AssetInfo) -> bool:
+    """Tell whether an object is neither tiny, thin nor huge."""
+    _, second, longest = sorted(_size(info))
+    return INSERTABLE[0] <= longest <= INSERTABLE[1] and second >= THIN
 
 
 def _footprint(info: AssetInfo) -> float:
     """Return the area [m²] of an object's bounding rectangle on the table."""
-    size: Size = info.size or (0.0, 0.0, 0.0)
-    return size[0] * size[1]
-
-
-def _stand(rng: np.random.Generator, library: AssetLibrary, info: AssetInfo) -> Standing | None:
-    """Load an object and draw one of its resting poses, its own most often; None where it is broken or falls over."""
-    try:
-        poses = resting_poses(info, library.mesh(info.id))
-    except AssetError:
-        return None
-    if not poses:
-        return None
-    return poses[0] if rng.random() < 0.5 else poses[int(rng.integers(len(poses)))]
+    return _size(info)[0] * _size(info)[1]
 
 
 def _choose_insertable(rng: np.random.Generator, chosen: list[Standing], count: int, glowing: int | None) -> list[int]:
-    """Draw which objects are insertable, the glowing one in four scenes of five."""
-    fit = [i for i, item in enumerate(chosen) if _is_insertable(item.info.size or (0.0, 0.0, 0.0))]
+    """Draw which objects are insertable, most often the glowing one among them."""
+    fit = [i for i, item in enumerate(chosen) if _is_insertable(item.info)]
     if len(fit) < count:
         raise PlacementError(f"only {len(fit)} objects have a size for insertion, need {count}")
-    picked: Int64 = rng.choice(len(fit), size=count, replace=False)
-    result = sorted(fit[int(i)] for i in picked)
-    if glowing in fit and glowing not in result and rng.random() < 0.8:
+    result = sorted(fit[int(i)] for i in rng.choice(len(fit), size=count, replace=False))
+    if glowing in fit and glowing not in result and rng.random() < GLOWING_INSERTED:
         result[int(rng.integers(count))] = glowing
     return sorted(result)

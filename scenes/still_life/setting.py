@@ -7,12 +7,15 @@ import numpy as np
 
 from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.info import AssetInfo
-from multilight.scenes.cameras.pinhole import matrix4
 from multilight.scenes.geometry.support_surfaces import SupportSurface
 from multilight.scenes.materials import GLOW
 from multilight.scenes.meshes import Mesh
+from multilight.scenes.poses import matrix4
 from multilight.scenes.spec import Body, Material, MeshAsset, Role, SceneSpec
 from multilight.scenes.still_life.placement import Stage, Standing
+
+FOCUS_CLEARANCE = 0.34
+"""Distance [m] from the edges of a surface beyond which a still life may be centred anywhere: half of its width."""
 
 
 @dataclass(frozen=True)
@@ -21,8 +24,8 @@ class Setting:
 
     They stand on `surface`, given in a frame that `world_from_surface` (4, 4) takes to the world. Cameras stand within
     `opening` [rad] of azimuth `front` [rad], and keep clear of the convex hulls of the bodies named in `solids` and of
-    the triangles of all others. `most` bounds the number of objects; the share `raised` of them gets a plinth, and
-    the `beside` pieces are put behind and beside them.
+    the triangles of all others. `most` bounds the number of objects; a fraction `raised` of them gets a plinth, and
+    the `large_pieces` are put behind and beside them.
     """
 
     bodies: tuple[Body, ...]
@@ -33,14 +36,14 @@ class Setting:
     opening: float
     most: int = 8
     raised: float = 0.0
-    beside: tuple[Standing, ...] = ()
+    large_pieces: tuple[Standing, ...] = ()
 
     def stage(self, rng: np.random.Generator) -> Stage:
         """Choose the focus of the still life: well inside the surface, rather towards the cameras."""
         pose = self.world_from_surface
         front = np.array([np.cos(self.front), np.sin(self.front)])
-        room = self.surface.clearance[self.surface.free]
-        inner = self.surface.centres[room >= 0.9 * min(0.34, float(room.max()))]
+        clear = self.surface.clearance[self.surface.free]
+        inner = self.surface.centres[clear >= 0.9 * min(FOCUS_CLEARANCE, float(clear.max()))]
         world = inner @ pose[:2, :2].T + pose[:2, 3]
         forward = world @ front
         near = world[forward >= np.quantile(forward, 0.5)]
@@ -57,13 +60,6 @@ def make_body(name: str, role: Role, info: AssetInfo, mesh: Mesh, materials: Seq
         materials=tuple(materials),
         world_from_body=matrix4(pose),
     )
-
-
-def about_z(angle: float) -> Float64:
-    """Return the rotation (4, 4) about +Z by `angle` [rad]."""
-    turn = np.eye(4)
-    turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-    return turn
 
 
 def flat_surface(width: float, depth: float, *, cell: float = 0.02) -> SupportSurface:

@@ -26,9 +26,11 @@ from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.cameras.pinhole import look_at
 from multilight.scenes.colour import luminance
 from multilight.scenes.kinds.spheres import sample_spheres
-from multilight.scenes.kinds.tabletop import TabletopSettings, emissive_candidate, sample_tabletop
+from multilight.scenes.kinds.tabletop import sample_tabletop
 from multilight.scenes.poses import matrix4
 from multilight.scenes.spec import SceneSpec
+from multilight.scenes.still_life.sample import StillLifeSettings
+from multilight.scenes.still_life.setting import emissive_candidate
 from multilight.scenes.streams import Streams
 
 COUNT = 14
@@ -41,7 +43,7 @@ def library() -> AssetLibrary:
 
 @pytest.fixture(scope="module")
 def lit(library: AssetLibrary) -> list[tuple[SceneSpec, LightRig]]:
-    settings = TabletopSettings(width=64, height=64, views=4, objects=(3, 5))
+    settings = StillLifeSettings(width=64, height=64, views=4, objects=(3, 5))
     result = []
     for i in range(COUNT):
         scene = sample_tabletop(Streams(11, i), library, index=i, settings=settings)

@@ -37,9 +37,10 @@ from multilight.scenes.cameras.pinhole import (
 from multilight.scenes.cameras.trajectory import SEEN, in_frame
 from multilight.scenes.geometry.rays import SceneRays, body_triangles, surface_points
 from multilight.scenes.kinds.spheres import sample_spheres
-from multilight.scenes.kinds.tabletop import TabletopSettings, sample_tabletop
+from multilight.scenes.kinds.tabletop import sample_tabletop
 from multilight.scenes.poses import matrix4
 from multilight.scenes.spec import Body, Camera, Material, SceneSpec, Sphere
+from multilight.scenes.still_life.sample import StillLifeSettings
 from multilight.scenes.streams import Streams
 
 coordinate = st.floats(-5, 5)
@@ -196,7 +197,7 @@ def library() -> AssetLibrary:
 @pytest.fixture(scope="module", params=KINDS)
 def still_lifes(request, library):
     cameras = CameraSettings(trajectories=only(request.param), depth_of_field=1.0)
-    settings = TabletopSettings(width=96, height=64, views=8, cameras=cameras)
+    settings = StillLifeSettings(width=96, height=64, views=8, cameras=cameras)
     scenes = [sample_tabletop(Streams(21, i), library, index=i, settings=settings) for i in range(4)]
     return request.param, scenes
 

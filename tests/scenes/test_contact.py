@@ -12,10 +12,11 @@ from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.geometry.contact import check_contacts
 from multilight.scenes.geometry.overlap import depth, gap, touching, way_out
 from multilight.scenes.geometry.solids import Placed, Solid
-from multilight.scenes.kinds.tabletop import TabletopSettings, sample_tabletop
+from multilight.scenes.kinds.tabletop import sample_tabletop
 from multilight.scenes.meshes import Mesh
 from multilight.scenes.poses import matrix4
 from multilight.scenes.spec import Body, Geometry, Material, MeshAsset, Rectangle, Role, Sphere
+from multilight.scenes.still_life.sample import StillLifeSettings
 from multilight.scenes.streams import Streams
 
 
@@ -197,7 +198,7 @@ def test_tabletops_overlap_nowhere() -> None:
     library = AssetLibrary(packs=("builtin",))
     seconds = []
     for index in range(4):
-        scene = sample_tabletop(Streams(11, index), library, index=index, settings=TabletopSettings(views=2))
+        scene = sample_tabletop(Streams(11, index), library, index=index, settings=StillLifeSettings(views=2))
         begin = time.process_time()
         found = check_contacts(scene.bodies, library)
         seconds.append(time.process_time() - begin)

@@ -22,9 +22,10 @@ from multilight.lights.rigs.custom import custom_lights
 from multilight.lights.spec import AreaLight, EmissiveLight, EnvironmentLight, Light, PointLight, SpotLight, SunLight
 from multilight.scenes.assets.library import AssetError, AssetLibrary
 from multilight.scenes.geometry.contact import check_contacts
-from multilight.scenes.kinds.custom import CustomSettings, background_bodies, find_places, sample_custom
+from multilight.scenes.kinds.custom import background_bodies, find_places, sample_custom
 from multilight.scenes.poses import matrix4
 from multilight.scenes.spec import Camera, SceneSpec
+from multilight.scenes.still_life.sample import StillLifeSettings
 from multilight.scenes.streams import Streams
 from tests.scenes.custom_scenes import DEPTH, HEIGHT, LENGTH, TABLE, blender, room, write_glb
 
@@ -129,7 +130,7 @@ def test_surfaces_are_found_by_level_and_area(library: AssetLibrary) -> None:
 
 def test_objects_stand_in_the_room_and_cameras_see_them(library: AssetLibrary) -> None:
     for index in range(3):
-        settings = CustomSettings(width=64, height=64, views=3, objects=(3, 4), insertable=2)
+        settings = StillLifeSettings(width=64, height=64, views=3, objects=(3, 4), insertable=2)
         scene = sample_custom(Streams(5, index), library, index=index, settings=settings)
         assert scene.kind == "custom"
         assert len(scene.insertable) == 2
@@ -145,7 +146,7 @@ def test_objects_stand_in_the_room_and_cameras_see_them(library: AssetLibrary) -
 
 
 def test_a_scene_is_the_same_again_in_another_cache(glb: Path, library: AssetLibrary, tmp_path: Path) -> None:
-    settings = CustomSettings(width=64, height=64, views=2)
+    settings = StillLifeSettings(width=64, height=64, views=2)
     scene = sample_custom(Streams(5, 1), library, index=1, settings=settings)
     again = sample_custom(Streams(5, 1), library_of(glb, tmp_path), index=1, settings=settings)
     assert scene.sha256() == again.sha256()

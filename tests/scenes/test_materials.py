@@ -23,7 +23,9 @@ from multilight.scenes.materials import (
 )
 from multilight.scenes.materials.emission import EMISSIONS, emission_of, part_area, sample_glow
 from multilight.scenes.spec import Material, Texture
-from multilight.scenes.still_life.receivers import LOOSE, MIRRORS, SHARES, choose_receiver, receiver_material
+from multilight.scenes.still_life.receivers import LOOSE, PROBABILITIES, choose_receiver, receiver_material
+
+MIRRORS = ("mirror top", "mirror plate", "chrome tray", "standing mirror")
 
 
 @pytest.fixture(scope="module")
@@ -175,8 +177,8 @@ def test_screens_are_pictures_and_repeatable(name: str) -> None:
 
 
 def test_receivers_come_as_often_as_stated() -> None:
-    assert sum(SHARES.values()) == pytest.approx(1.0)
-    assert sum(SHARES[kind] for kind in SHARES if kind in MIRRORS) == pytest.approx(0.15)
+    assert sum(PROBABILITIES.values()) == pytest.approx(1.0)
+    assert sum(PROBABILITIES[kind] for kind in MIRRORS) == pytest.approx(0.15)
     rng = np.random.default_rng(0)
     drawn = [choose_receiver(rng) for _ in range(2000)]
     assert np.mean([kind in MIRRORS for kind in drawn]) == pytest.approx(0.15, abs=0.03)

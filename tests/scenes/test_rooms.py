@@ -16,7 +16,7 @@ from multilight.scenes.cameras.pinhole import focal_length_mm
 from multilight.scenes.cameras.trajectory import in_frame
 from multilight.scenes.geometry.contact import check_contacts
 from multilight.scenes.geometry.rays import SceneRays, body_triangles, surface_points
-from multilight.scenes.kinds.rooms.sample import RoomSettings, RoomShares, sample_room
+from multilight.scenes.kinds.rooms.sample import RoomSettings, RoomWeights, sample_room
 from multilight.scenes.kinds.rooms.shelves import find_shelves
 from multilight.scenes.materials import GLOW
 from multilight.scenes.meshes import Mesh, MeshPart
@@ -156,11 +156,11 @@ def test_same_streams_give_the_same_room(scenes: list[SceneSpec], library: Asset
 
 
 def test_kinds_of_room_follow_their_shares(library: AssetLibrary) -> None:
-    only = SETTINGS.model_copy(update={"rooms": RoomShares(living=0, kitchen=0, bedroom=0, study=1)})
+    only = SETTINGS.model_copy(update={"rooms": RoomWeights(living=0, kitchen=0, bedroom=0, study=1)})
     scene = sample_room(Streams(5, 9), library, index=9, settings=only)
     assert any(body.category in ("desk", "trestle", "bistro") for body in scene.bodies)
     with pytest.raises(ValueError, match="at least one type of room"):
-        RoomShares(living=0, kitchen=0, bedroom=0, study=0)
+        RoomWeights(living=0, kitchen=0, bedroom=0, study=0)
 
 
 def test_rigs_light_rooms(scenes: list[SceneSpec], library: AssetLibrary) -> None:

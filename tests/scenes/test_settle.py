@@ -12,13 +12,14 @@ from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.geometry.contact import check_contacts, support_of
 from multilight.scenes.geometry.overlap import depth, touching
 from multilight.scenes.geometry.solids import Placed, Solid
-from multilight.scenes.kinds.tabletop import TabletopSettings, sample_tabletop
+from multilight.scenes.kinds.tabletop import sample_tabletop
 from multilight.scenes.physics.fall import Region, convex_pieces, height_field
 from multilight.scenes.physics.settle import lowered, settle, stack
 from multilight.scenes.poses import matrix4
 from multilight.scenes.spec import Body, Material, Rectangle
 from multilight.scenes.still_life.piles import KINDS, Pile, PileKind, sample_pile
 from multilight.scenes.still_life.placement import PlacementError
+from multilight.scenes.still_life.sample import StillLifeSettings
 from multilight.scenes.streams import Streams
 from tests.scenes.test_contact import BALL, placed, solid
 
@@ -165,7 +166,7 @@ def test_solids_know_their_mass() -> None:
 
 @pytest.mark.slow
 def test_a_pile_stands_among_the_objects_of_a_tabletop(library: AssetLibrary) -> None:
-    settings = TabletopSettings(views=2, width=64, height=64, objects=(3, 4), insertable=2, piles=1.0)
+    settings = StillLifeSettings(views=2, width=64, height=64, objects=(3, 4), insertable=2, piles=1.0)
     scene = sample_tabletop(Streams(2, 0), library, index=0, settings=settings)
     piled = [body.name for body in scene.bodies if body.name.startswith("pile_")]
     assert len(piled) >= 3

@@ -1,18 +1,17 @@
-"""Built-in furnishings: curtains, pictures, mirrors, rugs, rows of books and wall shelves; with the fittings, a table.
+"""Built-in furnishings of rooms: curtains, pictures, mirrors, rugs, rows of books and wall shelves.
 
 What hangs on a wall faces -Y, its back at +Y.
 """
 
-from collections.abc import Callable
-from functools import partial
 from itertools import pairwise
 
 import numpy as np
 
-from multilight.scenes.assets.builtin.joinery import WINDOWS, bar, door, painted, window
-from multilight.scenes.assets.builtin.parts import METALS, Part, Rng, pick, tiled
-from multilight.scenes.assets.builtin.primitives import Surface, from_grid, merge, prism, rotation, tube
+from multilight.scenes.assets.builtin.joinery import painted
+from multilight.scenes.assets.builtin.parts import METALS, PAPER, Part, Rng, tiled
+from multilight.scenes.assets.builtin.primitives import Surface, bar, bar_pair, from_grid, merge, prism, rotation, tube
 from multilight.scenes.spec import Material, Rgb
+from multilight.scenes.streams import pick
 
 CURTAIN_HEIGHT = 2.38
 _CLOTHS: tuple[Rgb, ...] = (
@@ -59,8 +58,7 @@ def curtains(rng: Rng, *, width: float) -> list[Part]:
     ]
     end, top = width / 2 + bunch + 0.04, CURTAIN_HEIGHT - 0.02
     rod = [tube([(x, out, top) for x in np.linspace(-end, end, 3)], 0.012, segments=12)]
-    for s in (-1, 1):
-        rod.append(bar((s * (end - 0.03) - 0.008, s * (end - 0.03) + 0.008), (out, 0.0), (top - 0.02, top - 0.004)))
+    rod += bar_pair((end - 0.03 - 0.008, end - 0.03 + 0.008), (out, 0.0), (top - 0.02, top - 0.004))
     metal = Material(name="rod", base_color=pick(rng, METALS), metallic=1.0, roughness=0.35)
     return [(merge(drapes), cloth), (merge(rod), metal)]
 
@@ -68,7 +66,7 @@ def curtains(rng: Rng, *, width: float) -> list[Part]:
 def _framed(width: float, height: float, section: float, depth: float) -> Surface:
     """Frame a rectangle that stands on z = 0, its back at y = 0."""
     half, deep = width / 2, (-depth, 0.0)
-    sides = [bar((s * half - section * (s > 0), s * half + section * (s < 0)), deep, (0.0, height)) for s in (-1, 1)]
+    sides = bar_pair((half - section, half), deep, (0.0, height))
     flats = [bar((-half + section, half - section), deep, z) for z in ((0.0, section), (height - section, height))]
     return merge([*sides, *flats])
 
@@ -131,7 +129,7 @@ def rug(rng: Rng) -> list[Part]:
     width = float(rng.uniform(1.1, 2.6))
     depth, thick = width * float(rng.uniform(0.6, 0.75)), 0.008
     first, second = pick(rng, _CLOTHS), pick(rng, _CLOTHS)
-    weave = tiled(("weave-basket", "weave-linen-natural")[int(rng.integers(2))], 0.3)
+    weave = tiled(pick(rng, ("weave-basket", "weave-linen-natural")), 0.3)
     cloth = [
         Material(name=n, base_color=c, base_color_texture=weave, roughness=0.95)
         for n, c in (("field", first), ("band", second))
@@ -141,10 +139,8 @@ def rug(rng: Rng) -> list[Part]:
     if rng.random() < 0.5:
         edge, (x, y) = float(rng.uniform(0.08, 0.2)), (width / 2, depth / 2)
         field.append(bar((edge - x, x - edge), (edge - y, y - edge), (0.0, thick), 0.001))
-        band += [bar((-x, x), (s * y - edge * (s > 0), s * y + edge * (s < 0)), (0.0, thick)) for s in (-1, 1)]
-        band += [
-            bar((s * x - edge * (s > 0), s * x + edge * (s < 0)), (edge - y, y - edge), (0.0, thick)) for s in (-1, 1)
-        ]
+        band += [bar((-x, x), side, (0.0, thick)) for side in ((-y, edge - y), (y - edge, y))]
+        band += bar_pair((x - edge, x), (edge - y, y - edge), (0.0, thick))
     else:
         cuts = np.r_[0.0, np.sort(rng.uniform(0.05, 0.95, int(rng.integers(4, 9)) * 2)), 1.0] * width - width / 2
         for i, (low, high) in enumerate(pairwise(cuts)):
@@ -170,7 +166,6 @@ def books(rng: Rng) -> list[Part]:
         )
         x += wide + 0.0008
         front = float(rng.uniform(0.0, 0.012))
-    paper = Material(name="paper", base_color=(0.78, 0.72, 0.60), roughness=0.9)
     bindings = [
         (
             merge(surfaces),
@@ -178,7 +173,7 @@ def books(rng: Rng) -> list[Part]:
         )
         for ink, surfaces in sorted(covers.items())
     ]
-    return [*bindings, (merge(pages), paper)]
+    return [*bindings, (merge(pages), PAPER)]
 
 
 def wall_shelf(rng: Rng) -> list[Part]:
@@ -193,18 +188,3 @@ def wall_shelf(rng: Rng) -> list[Part]:
         )
     metal = Material(name="bracket", base_color=pick(rng, METALS), metallic=1.0, roughness=0.4)
     return [(board, painted(rng, "board")), (merge(brackets), metal)]
-
-
-FITTINGS: dict[str, tuple[Callable[[Rng], list[Part]], int]] = {
-    **{
-        f"window-{key}": (partial(window, width=w, height=h, across=a, up=u), 2)
-        for key, (w, h, a, u) in WINDOWS.items()
-    },
-    **{f"curtains-{key}": (partial(curtains, width=size[0]), 2) for key, size in WINDOWS.items()},
-    "door": (door, 5),
-    "picture": (picture, 14),
-    "mirror": (mirror, 3),
-    "rug": (rug, 8),
-    "books": (books, 10),
-    "shelf": (wall_shelf, 4),
-}

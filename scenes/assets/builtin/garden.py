@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from multilight.scenes.assets.builtin.parts import PAINTS, Part, Rng, paint, patterned, pick
+from multilight.scenes.assets.builtin.parts import PAINTS, Part, Rng, paint, patterned
 from multilight.scenes.assets.builtin.primitives import (
     Surface,
     lathe,
@@ -15,8 +15,9 @@ from multilight.scenes.assets.builtin.primitives import (
     sphere,
     tube,
 )
-from multilight.scenes.assets.builtin.tableware import vessel
+from multilight.scenes.assets.builtin.tableware import beaker, vessel
 from multilight.scenes.spec import Material, Rgb
+from multilight.scenes.streams import pick
 
 _SOIL = Material(name="soil", base_color=(0.06, 0.04, 0.028), roughness=0.95)
 _CLAYS: tuple[Rgb, ...] = ((0.50, 0.20, 0.10), (0.42, 0.24, 0.15), (0.55, 0.50, 0.44), (0.10, 0.10, 0.11))
@@ -28,8 +29,7 @@ def timber(rng: Rng) -> Material:
     """Draw weathered, oiled or painted outdoor wood."""
     if rng.random() < 0.3:
         return paint(rng, "timber")
-    wood = ("wood-ash", "wood-oak", "wood-pine", "wood-cherry")[int(rng.integers(4))]
-    return patterned("timber", wood, 0.6, 0.68)
+    return patterned("timber", pick(rng, ("wood-ash", "wood-oak", "wood-pine", "wood-cherry")), 0.6, 0.68)
 
 
 def zinc(rng: Rng) -> Material:
@@ -89,9 +89,7 @@ def bucket(rng: Rng) -> list[Part]:
     """Make a bucket 20 to 28 cm wide with a wire handle that hangs over its side."""
     r = float(rng.uniform(0.10, 0.14))
     h = r * float(rng.uniform(1.6, 2.0))
-    outer = rounded([(0, 0), (0.72 * r, 0), (r, h)], [0, 0.006, 0])
-    levels = np.linspace(outer[-2], outer[-1], 12)
-    body = lathe(vessel(np.concatenate([outer[:-2], levels]), 0.002, lip=2.0), segments=72)
+    body = lathe(beaker(0.72 * r, r, h, bevel=0.006, wall=0.002, lip=2.0), segments=72)
     angle = np.linspace(-0.02, np.pi + 0.02, 40)
     droop = 0.32
     arc = np.stack([1.02 * r * np.cos(angle), 1.06 * r * np.sin(angle) * np.cos(droop), 0 * angle], -1)
@@ -140,9 +138,7 @@ def crate(rng: Rng) -> list[Part]:
     x = float(rng.uniform(0.26, 0.40))
     y, z, t = 0.68 * x, float(rng.uniform(0.12, 0.2)), 0.007
     pieces = [_board(x, y - 2 * t, t).moved((0, 0, 0.004))]
-    for sx in (-1, 1):
-        for sy in (-1, 1):
-            pieces.append(_board(0.022, 0.022, z).moved((sx * (x / 2 - 0.012), sy * (y / 2 - t - 0.012), 0)))
+    pieces += _board(0.022, 0.022, z).at_corners(x / 2 - 0.012, y / 2 - t - 0.012)
     slats = 3
     height = z / slats - 0.012
     for i in range(slats):
@@ -157,11 +153,7 @@ def bench(rng: Rng) -> list[Part]:
     """Make a garden bench without a back, 0.9 to 1.4 m long."""
     x, y, h = float(rng.uniform(0.9, 1.4)), float(rng.uniform(0.34, 0.42)), float(rng.uniform(0.42, 0.47))
     slats = [_board(x, y / 4 - 0.008, 0.026).moved((0, (i - 1.5) * y / 4, h - 0.026)) for i in range(4)]
-    legs = [
-        _board(0.06, 0.06, h - 0.026).moved((sx * (x / 2 - 0.12), sy * (y / 2 - 0.05), 0))
-        for sx in (-1, 1)
-        for sy in (-1, 1)
-    ]
+    legs = _board(0.06, 0.06, h - 0.026).at_corners(x / 2 - 0.12, y / 2 - 0.05)
     rails = [_board(0.03, y - 0.16, 0.05).moved((sx * (x / 2 - 0.12), 0, h - 0.1)) for sx in (-1, 1)]
     wood = timber(rng)
     return [(merge(slats), wood), (merge(legs + rails), wood)]

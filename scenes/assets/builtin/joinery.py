@@ -1,14 +1,15 @@
-"""Built-in parts of rooms: windows, doors, curtains, pictures, mirrors, rugs, rows of books and wall shelves.
+"""Built-in joinery: windows and doors.
 
-What hangs on a wall faces -Y, its back at +Y. Windows and doors reach into the wall: their plane of y = 0 below is
-the wall's inner face, and `WINDOW_PROUD` and `DOOR_PROUD` say how far they stand out of it.
+They face -Y and reach into the wall: their plane of y = 0 is the wall's inner face, and `WINDOW_PROUD` and
+`DOOR_PROUD` say how far they stand out of it.
 """
 
 import numpy as np
 
-from multilight.scenes.assets.builtin.parts import METALS, Part, Rng, pick, tiled
-from multilight.scenes.assets.builtin.primitives import Surface, lathe, merge, rotation, rounded_box, tube
+from multilight.scenes.assets.builtin.parts import METALS, Part, Rng, tiled
+from multilight.scenes.assets.builtin.primitives import Surface, bar, bar_pair, cylinder, merge, rotation, tube
 from multilight.scenes.spec import Material, Rgb
+from multilight.scenes.streams import pick
 
 CASING = 0.07
 """Width [m] of the boards round an opening; a window's sill reaches `EAR` to each side instead."""
@@ -36,20 +37,10 @@ _PAINTS: tuple[Rgb, ...] = (
 )  # fmt: skip
 
 
-def bar(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float], radius: float = 0.002) -> Surface:
-    """Make a box between two corners [m] with slightly rounded edges."""
-    low, high = np.array([x[0], y[0], z[0]]), np.array([x[1], y[1], z[1]])
-    size = high - low
-    return rounded_box(size, min(radius, 0.4 * float(size.min())), steps=1).moved(
-        (low[0] + size[0] / 2, low[1] + size[1] / 2, low[2])
-    )
-
-
 def painted(rng: Rng, name: str) -> Material:
     """Draw the paint or the wood of joinery."""
     if rng.random() < 0.3:
-        wood = ("wood-oak", "wood-walnut", "wood-pine")[int(rng.integers(3))]
-        texture = tiled(wood, 0.8)
+        texture = tiled(pick(rng, ("wood-oak", "wood-walnut", "wood-pine")), 0.8)
         return Material(name=name, base_color=(1, 1, 1), base_color_texture=texture, roughness=0.45, coat=0.2)
     return Material(name=name, base_color=pick(rng, _PAINTS), roughness=float(rng.uniform(0.25, 0.5)))
 
@@ -57,16 +48,14 @@ def painted(rng: Rng, name: str) -> Material:
 def _casing(width: float, height: float) -> list[Surface]:
     """Frame an opening on the wall's face with three boards."""
     half, deep = width / 2, (-0.018, 0.004)
-    sides = [bar((s * half - CASING * (s < 0), s * half + CASING * (s > 0)), deep, (0.0, height)) for s in (-1, 1)]
+    sides = bar_pair((half, half + CASING), deep, (0.0, height))
     return [*sides, bar((-half - CASING, half + CASING), deep, (height, height + CASING))]
 
 
 def _lining(width: float, height: float, depth: float) -> list[Surface]:
     """Line the cut through the wall, sides and top."""
     half = width / 2
-    sides = [
-        bar((s * half - LINING * (s < 0), s * half + LINING * (s > 0)), (0.0, depth), (-0.01, height)) for s in (-1, 1)
-    ]
+    sides = bar_pair((half, half + LINING), (0.0, depth), (-0.01, height))
     return [*sides, bar((-half - LINING, half + LINING), (0.0, depth), (height, height + LINING))]
 
 
@@ -78,7 +67,7 @@ def window(rng: Rng, *, width: float, height: float, across: int, up: int) -> li
     parts.append(bar((-half - EAR, half + EAR), (-WINDOW_PROUD, 0.0), (-SILL, 0.0), 0.006))
     parts.append(bar((-half - LINING, half + LINING), (0.0, WINDOW_DEPTH), (-SILL, 0.0)))
     edge, thin = 0.055, 0.034 if up == 1 else 0.026
-    parts += [bar((s * half - edge * (s > 0), s * half + edge * (s < 0)), deep, (0.0, height)) for s in (-1, 1)]
+    parts += bar_pair((half - edge, half), deep, (0.0, height))
     parts += [bar((-half, half), deep, z) for z in ((0.0, edge), (height - edge, height))]
     for i in range(1, across):
         x, wide = -half + width * i / across, 0.04 if across == 2 else thin / 2
@@ -105,16 +94,8 @@ def door(rng: Rng) -> list[Part]:
     side = float(rng.choice([-1.0, 1.0]))
     x = side * (half - 0.065)
     metal = Material(name="handle", base_color=pick(rng, METALS), metallic=1.0, roughness=float(rng.uniform(0.15, 0.4)))
-    rose = lathe([(0, 0), (0.026, 0), (0.026, 0.008), (0, 0.008)], segments=24)
-    turn = rotation("x", np.pi / 2)
-    lever = [rose.moved((x, 0.03, 1.03), turn)]
-    stem = [
-        (x, 0.03, 1.03),
-        (x, 0.0, 1.03),
-        (x, -0.024, 1.03),
-        (x - side * 0.02, -0.031, 1.03),
-        (x - side * 0.12, -0.031, 1.03),
-    ]
-    lever.append(tube(stem, 0.009, segments=12))
+    rose = cylinder(0.026, 0.008, segments=24).moved((x, 0.03, 1.03), rotation("x", np.pi / 2))
+    bend = [(x, 0.03), (x, 0.0), (x, -0.024), (x - side * 0.02, -0.031), (x - side * 0.12, -0.031)]
+    lever = merge([rose, tube([(*point, 1.03) for point in bend], 0.009, segments=12)])
     parts = merge([*_casing(width, height), *_lining(width, height, DOOR_DEPTH)])
-    return [(parts, frame), (merge(leaf), frame.model_copy(update={"name": "leaf"})), (merge(lever), metal)]
+    return [(parts, frame), (merge(leaf), frame.model_copy(update={"name": "leaf"})), (lever, metal)]

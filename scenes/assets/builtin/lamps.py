@@ -1,9 +1,11 @@
-"""Built-in objects that glow: candles, bulbs, lamps and night lights; the part named in `LAMPS` may shine."""
+"""Built-in objects that glow: candles, bulbs, lamps and night lights; the part `glow` or `flame` may shine."""
 
 import numpy as np
 
-from multilight.scenes.assets.builtin.parts import CLEAR_TINTS, METALS, Part, Rng, ceramic, metal, patterned, pick
+from multilight.scenes.assets.builtin.parts import CLEAR_TINTS, METALS, Part, Rng, ceramic, metal, patterned
 from multilight.scenes.assets.builtin.primitives import (
+    circle,
+    cylinder,
     lathe,
     merge,
     prism,
@@ -13,8 +15,9 @@ from multilight.scenes.assets.builtin.primitives import (
     sphere,
     tube,
 )
-from multilight.scenes.assets.builtin.tableware import vessel
+from multilight.scenes.assets.builtin.tableware import beaker
 from multilight.scenes.spec import Material, Rgb
+from multilight.scenes.streams import pick
 
 GLOW = Material(name="glow", base_color=(0.92, 0.90, 0.86), roughness=0.4)
 _PLASTICS: tuple[Rgb, ...] = ((0.8, 0.79, 0.76), (0.03, 0.03, 0.035), (0.35, 0.36, 0.38), (0.55, 0.16, 0.12))
@@ -45,16 +48,8 @@ def bulb(rng: Rng) -> list[Part]:
     globe = np.stack([r * np.cos(angle), 0.055 + r + r * np.sin(angle)], -1)
     shade = lathe(np.concatenate([[(0, 0.026), (neck, 0.026), (neck, 0.031), (neck * 1.25, 0.042)], globe]))
     thread = [(0.0128 + 0.0011 * (i % 2), 0.0075 + 0.0022 * i) for i in range(9)]
-    profile = [
-        (0, 0.0),
-        (0.005, 0.0),
-        (0.0065, 0.003),
-        (0.0125, 0.006),
-        *thread,
-        (0.014, 0.0265),
-        (0.014, 0.029),
-    ]
-    brass = Material(name="screw", base_color=METALS[int(rng.integers(4))], metallic=1.0, roughness=0.3)
+    profile = [(0, 0.0), (0.005, 0.0), (0.0065, 0.003), (0.0125, 0.006), *thread, (0.014, 0.0265), (0.014, 0.029)]
+    brass = Material(name="screw", base_color=pick(rng, METALS), metallic=1.0, roughness=0.3)
     return [(shade, GLOW), (lathe(rounded(profile, 0.0006, steps=3)), brass)]
 
 
@@ -71,9 +66,7 @@ def orb(rng: Rng) -> list[Part]:
 def votive(rng: Rng) -> list[Part]:
     """Make a candle in a glass; the part `flame` may glow."""
     r, h = float(rng.uniform(0.03, 0.042)), float(rng.uniform(0.075, 0.11))
-    outer = rounded([(0, 0), (r * 0.92, 0), (r, h)], [0, 0.005, 0])
-    levels = np.linspace(outer[-2], outer[-1], 12)
-    cup = lathe(vessel(np.concatenate([outer[:-2], levels]), 0.004))
+    cup = lathe(beaker(r * 0.92, r, h, bevel=0.005, wall=0.004))
     # A hair's breadth of air keeps wax and glass from sharing a surface.
     inside = lathe(rounded([(0, 0), (r * 0.72, 0), (r * 0.76, 0.3 * h), (0, 0.3 * h)], [0, 0.002, 0.002, 0]))
     level = 0.005 + 0.3 * h
@@ -97,7 +90,7 @@ def lamp(rng: Rng) -> list[Part]:
     wall = np.linspace((low, 0.55 * h), (high, h), 12)
     shade = lathe(np.concatenate([wall, (wall - [0.002, 0.0])[::-1], wall[:1]]), segments=96)
     spokes = [tube([(0, 0, 0.79 * h), (x, y, 0.79 * h)], 0.0015, segments=8) for x, y in _spokes(rng, low, high)]
-    return [(shade, GLOW), (foot, (ceramic, metal)[int(rng.integers(2))](rng)), (merge(spokes), metal(rng))]
+    return [(shade, GLOW), (foot, pick(rng, (ceramic, metal))(rng)), (merge(spokes), metal(rng))]
 
 
 def _spokes(rng: Rng, low: float, high: float) -> list[tuple[float, float]]:
@@ -135,7 +128,7 @@ def lantern(rng: Rng) -> list[Part]:
     profile = np.concatenate([[(0, outer[0, 1])], outer, [(0, outer[-1, 1])]])
     paper = lathe(profile, segments=72)
     foot = float(outer[0, 0])
-    base = lathe(rounded([(0, 0), (0.9 * foot, 0), (0.9 * foot, 0.0195), (0, 0.0195)], [0, 0.002, 0.002, 0]))
+    base = cylinder(0.9 * foot, 0.0195, 0.002)
     wood = patterned("foot", "wood-walnut", 0.3, 0.5)
     return [(paper, GLOW), (base, wood)]
 
@@ -153,14 +146,13 @@ def night_light(rng: Rng) -> list[Part]:
         ghost = [(0, 0.03), (0.42, 0.03), (0.37, 0.35), (0.36, 0.75), (0.18, 1.0), (0, 1.0)]
         sheet = lathe(rounded(np.array(ghost) * s, np.array([0, 0.05, 0.3, 0.25, 0.18, 0]) * s, steps=12), lobes=9)
         eyes = [sphere(0.05 * s, segments=20).moved((x * s, -0.335 * s, 0.62 * s)) for x in (-0.13, 0.13)]
-        plate = lathe(rounded([(0, 0), (0.3 * s, 0), (0.3 * s, 0.028 * s), (0, 0.028 * s)], 0.005 * s))
+        plate = cylinder(0.3 * s, 0.028 * s, 0.005 * s)
         dark = Material(name="eyes", base_color=(0.03, 0.03, 0.03), roughness=0.3)
         return [(sheet, GLOW), (merge(eyes), dark), (plate, stand)]
     if kind == 2:
-        angle = np.pi / 2 + np.pi / 5 * np.arange(10)
-        radius = np.where(np.arange(10) % 2 == 0, 0.52, 0.27) * s
-        outline = rounded(np.stack([radius * np.cos(angle), radius * np.sin(angle)], -1), 0.05 * s, closed=True)
-        star = prism(outline, 0.22 * s, 0.02 * s).moved((0, 0, 0), rotation("x", np.pi / 2))
+        points = circle(10, np.tile([0.52, 0.27], 5) * s, start=np.pi / 2)
+        outline = rounded(points, 0.05 * s, closed=True)
+        star = prism(outline, 0.22 * s, 0.02 * s).moved(rotation=rotation("x", np.pi / 2))
         star = star.moved((0, 0.11 * s, 0.40 * s + 0.03 * s))
         plate = rounded_box((0.7 * s, 0.4 * s, 0.06 * s), 0.012 * s)
         return [(star, GLOW), (plate, stand)]

@@ -2,9 +2,10 @@
 
 import numpy as np
 
-from multilight.scenes.assets.builtin.parts import METALS, Part, Rng, pick, tiled
-from multilight.scenes.assets.builtin.primitives import Surface, lathe, merge, rounded, sphere, tube
+from multilight.scenes.assets.builtin.parts import METALS, Part, Rng, tiled
+from multilight.scenes.assets.builtin.primitives import Surface, cylinder, lathe, merge, rounded, sphere, tube
 from multilight.scenes.spec import Material, Rgb
+from multilight.scenes.streams import pick
 
 GLASS = Material(name="glow", base_color=(0.9, 0.89, 0.86), roughness=0.35)
 _SHADES: tuple[Rgb, ...] = (
@@ -77,11 +78,9 @@ def pendant(rng: Rng) -> list[Part]:
         radius = float(rng.uniform(0.11, 0.19))
         height = 2 * radius
         parts = [(sphere(radius), GLASS)]
-        parts.append(
-            (lathe([(0, 0), (0.03, 0), (0.03, 0.03), (0, 0.03)], segments=24).moved((0, 0, height - 0.005)), metal)
-        )
+        parts.append((cylinder(0.03, 0.03, segments=24).moved((0, 0, height - 0.005)), metal))
     cord = tube([(0, 0, height), (0, 0, height + drop / 2), (0, 0, height + drop - 0.02)], 0.003, segments=8)
-    rose = lathe(rounded([(0, 0), (0.05, 0), (0.05, 0.025), (0, 0.025)], 0.004), segments=32)
+    rose = cylinder(0.05, 0.025, 0.004, segments=32)
     parts.append((merge([cord, rose.moved((0, 0, height + drop - 0.025))]), metal))
     return parts
 
@@ -148,11 +147,3 @@ def table_lamp(rng: Rng) -> list[Part]:
     shade = (outside.moved((0, 0, lift)), inside.moved((0, 0, lift)))
     bulb = _bulb(0.026).moved((0, 0, foot + 0.03))
     return [(body, glaze), (merge(wire), _metal(rng)), *_shaded(rng, shade, bulb)]
-
-
-LUMINAIRES = {
-    "pendant": (pendant, 8),
-    "ceilinglamp": (ceiling_lamp, 4),
-    "floorlamp": (floor_lamp, 6),
-    "tablelamp": (table_lamp, 6),
-}

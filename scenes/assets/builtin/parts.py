@@ -6,37 +6,24 @@ from multilight.scenes.assets.builtin.primitives import Surface
 from multilight.scenes.assets.derived_maps import MEAN_ROUGHNESS
 from multilight.scenes.meshes import Mesh, MeshPart
 from multilight.scenes.spec import Material, Rgb, Texture
+from multilight.scenes.streams import pick
 
 Rng = np.random.Generator
 Part = tuple[Surface, Material]
 
 GLAZES: tuple[Rgb, ...] = (
-    (0.80, 0.78, 0.72),
-    (0.07, 0.16, 0.24),
-    (0.36, 0.09, 0.05),
-    (0.10, 0.20, 0.12),
-    (0.62, 0.38, 0.10),
-    (0.03, 0.03, 0.035),
-    (0.45, 0.55, 0.58),
-    (0.55, 0.28, 0.22),
-)
+    (0.80, 0.78, 0.72), (0.07, 0.16, 0.24), (0.36, 0.09, 0.05), (0.10, 0.20, 0.12), (0.62, 0.38, 0.10),
+    (0.03, 0.03, 0.035), (0.45, 0.55, 0.58), (0.55, 0.28, 0.22),
+)  # fmt: skip
 PAINTS: tuple[Rgb, ...] = (
-    (0.60, 0.05, 0.03),
-    (0.03, 0.13, 0.45),
-    (0.75, 0.42, 0.03),
-    (0.04, 0.28, 0.09),
-    (0.70, 0.68, 0.63),
+    (0.60, 0.05, 0.03), (0.03, 0.13, 0.45), (0.75, 0.42, 0.03), (0.04, 0.28, 0.09), (0.70, 0.68, 0.63),
     (0.25, 0.08, 0.32),
-)
+)  # fmt: skip
 METALS: tuple[Rgb, ...] = ((0.91, 0.92, 0.92), (0.95, 0.64, 0.54), (0.89, 0.72, 0.33), (0.56, 0.57, 0.58))
 CLEAR_TINTS: tuple[Rgb, ...] = ((0.98, 0.99, 0.99), (0.85, 0.95, 0.90), (0.90, 0.95, 0.99), (0.97, 0.93, 0.88))
 BOTTLE_TINTS: tuple[Rgb, ...] = ((0.98, 0.99, 0.99), (0.45, 0.78, 0.52), (0.82, 0.52, 0.20), (0.55, 0.74, 0.90))
+PAPER = Material(name="paper", base_color=(0.78, 0.72, 0.60), roughness=0.9)
 CERAMIC_TEXTURES = ("ceramic-speckled-cream", "ceramic-speckled-blue", "ceramic-speckled-stone")
-
-
-def pick(rng: Rng, colours: tuple[Rgb, ...]) -> Rgb:
-    """Draw one of the colours."""
-    return colours[int(rng.integers(len(colours)))]
 
 
 def tiled(name: str, size: float) -> Texture:
@@ -62,7 +49,7 @@ def ceramic(rng: Rng) -> Material:
     coat = float(rng.uniform(0.4, 1.0))
     roughness = float(rng.uniform(0.25, 0.55))
     if rng.random() < 0.5:
-        return patterned("ceramic", CERAMIC_TEXTURES[int(rng.integers(3))], 0.1, roughness, coat=coat)
+        return patterned("ceramic", pick(rng, CERAMIC_TEXTURES), 0.1, roughness, coat=coat)
     return Material(name="ceramic", base_color=pick(rng, GLAZES), roughness=roughness, coat=coat)
 
 

@@ -1,4 +1,4 @@
-"""Closed surfaces made by formula: lathe, sweep, rounded box, prism, torus, sphere.
+"""Closed surfaces made by formula: lathe, cylinder, sphere, torus, tube, rounded box, bar, prism.
 
 Lengths are metres; uv runs in metres along the surface unless said otherwise, so that a texture keeps its
 real scale. Edges are rounded, normals are smooth across the rounding and true on flats.
@@ -14,7 +14,7 @@ from multilight.scenes.arrays import Float64, Int64
 from multilight.scenes.meshes import stacked, triangle_crosses
 
 SEAM = 0.1
-"""The way around a lathe is rounded to a multiple of this [m]: textures of that size (or a part) meet."""
+"""The circumference of a lathe is rounded to a multiple of this [m]: textures of that size (or a part) meet."""
 
 
 @dataclass(frozen=True)
@@ -28,9 +28,13 @@ class Surface:
 
     def moved(self, offset: ArrayLike = (0.0, 0.0, 0.0), rotation: ArrayLike | None = None) -> "Surface":
         """Rotate by a 3x3 matrix, then shift [m]."""
-        turn = np.eye(3) if rotation is None else np.asarray(rotation, np.float64)
-        moved = self.vertices @ turn.T + np.asarray(offset)
-        return Surface(moved, self.faces, self.normals @ turn.T, self.uv)
+        matrix = np.eye(3) if rotation is None else np.asarray(rotation, np.float64)
+        moved = self.vertices @ matrix.T + np.asarray(offset)
+        return Surface(moved, self.faces, self.normals @ matrix.T, self.uv)
+
+    def at_corners(self, x: float, y: float) -> list["Surface"]:
+        """Return four copies, one in each corner (±x, ±y) [m]."""
+        return [self.moved((sx * x, sy * y, 0)) for sx in (-1, 1) for sy in (-1, 1)]
 
 
 def merge(surfaces: Sequence[Surface]) -> Surface:
@@ -43,7 +47,7 @@ def merge(surfaces: Sequence[Surface]) -> Surface:
 
 
 def rotation(axis: str, angle: float) -> Float64:
-    """Return the 3x3 matrix that turns by `angle` [rad] counter-clockwise about `x`, `y` or `z`."""
+    """Return the 3x3 rotation by `angle` [rad], counter-clockwise, about `x`, `y` or `z`."""
     i, j = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
     matrix = np.eye(3)
     matrix[i, i] = matrix[j, j] = np.cos(angle)
@@ -52,8 +56,17 @@ def rotation(axis: str, angle: float) -> Float64:
     return matrix
 
 
+def circle(count: int, radius: float | Float64 = 1.0, *, start: float = 0.0) -> Float64:
+    """Return points at even angles round the origin, counter-clockwise from `start` [rad], (count, 2).
+
+    `radius` [m] is one for all or (count,).
+    """
+    angle = start + 2 * np.pi * np.arange(count) / count
+    return np.reshape(radius, (-1, 1)) * np.stack([np.cos(angle), np.sin(angle)], -1)
+
+
 def from_grid(points: Float64, normals: Float64, uv: Float64) -> Surface:
-    """Triangulate an (M, N) grid of points; faces turn to agree with the normals, slivers are dropped."""
+    """Triangulate an (M, N) grid of points; faces look where the normals do, slivers are dropped."""
     rows, columns = points.shape[:2]
     index = np.arange(rows * columns).reshape(rows, columns)
     a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
@@ -120,7 +133,7 @@ def _profile(points: Float64, *, crease: float = 0.7) -> tuple[Float64, Float64,
 def lathe(
     profile: ArrayLike, *, segments: int = 64, planar_uv: bool = False, lobes: int = 0, depth: float = 0.0
 ) -> Surface:
-    """Turn a profile of (radius, z) points about +Z.
+    """Rotate a profile of (radius, z) points about +Z.
 
     The outside lies to the right of the profile: run it from the axis at the bottom, up the outer wall, and
     back down inside. uv is (around, along) in metres, or (x, y) if `planar_uv`. The radius swells by
@@ -142,6 +155,14 @@ def lathe(
         return from_grid(grid, direction, grid[..., :2])
     uv = np.stack(np.broadcast_arrays(phi / (2 * np.pi) * around, along[:, None]), -1)
     return from_grid(grid, direction, uv)
+
+
+def cylinder(
+    radius: float, height: float, bevel: float = 0.0, *, segments: int = 64, planar_uv: bool = False
+) -> Surface:
+    """Make a cylinder that stands on z = 0, its rims rounded."""
+    profile = rounded([(0, 0), (radius, 0), (radius, height), (0, height)], bevel)
+    return lathe(profile, segments=segments, planar_uv=planar_uv)
 
 
 def sphere(radius: float, *, segments: int = 48) -> Surface:
@@ -216,10 +237,24 @@ def rounded_box(size: ArrayLike, radius: float, *, steps: int = 4) -> Surface:
             core = np.clip(cube, radius - half, half - radius)
             normals = cube - core
             normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-            # Upright sides get z as v and the flats (x, y), so that grain runs the same way on all of them.
+            # Upright sides get z as v and the flats (x, y), so that grain runs in one direction on all of them.
             uv = cube[..., list(((1, 2), (0, 2), (0, 1))[axis])]
             sides.append(from_grid(core + radius * normals, normals, uv))
     return merge(sides).moved((0, 0, half[2]))
+
+
+def bar(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float], radius: float = 0.002) -> Surface:
+    """Make a box between two corners [m] with slightly rounded edges."""
+    low, high = np.array([x[0], y[0], z[0]]), np.array([x[1], y[1], z[1]])
+    size = high - low
+    return rounded_box(size, min(radius, 0.4 * float(size.min())), steps=1).moved(
+        (low[0] + size[0] / 2, low[1] + size[1] / 2, low[2])
+    )
+
+
+def bar_pair(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float]) -> list[Surface]:
+    """Make two bars that mirror each other in x: the right one between two corners [m]."""
+    return [bar((-x[1], -x[0]), y, z), bar(x, y, z)]
 
 
 def prism(outline: ArrayLike, height: float, bevel: float) -> Surface:

@@ -6,17 +6,10 @@ import numpy as np
 
 from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.builtin.lamps import GLOW
-from multilight.scenes.assets.builtin.parts import Part, Rng, metal, pick
-from multilight.scenes.assets.builtin.primitives import (
-    Surface,
-    from_grid,
-    merge,
-    rotation,
-    rounded,
-    rounded_box,
-    tube,
-)
+from multilight.scenes.assets.builtin.parts import Part, Rng, metal
+from multilight.scenes.assets.builtin.primitives import Surface, from_grid, merge, rotation, rounded, rounded_box, tube
 from multilight.scenes.spec import Material, Rgb
+from multilight.scenes.streams import pick
 
 _CASES: tuple[Rgb, ...] = ((0.02, 0.02, 0.022), (0.55, 0.56, 0.58), (0.75, 0.74, 0.72), (0.16, 0.2, 0.28))
 _DISPLAY = Material(name="screen", base_color=(0.03, 0.03, 0.032), roughness=0.08, coat=0.0)
@@ -65,9 +58,8 @@ def _shape(rng: Rng) -> list[Float64]:
             out, back = np.linspace(0.75, 2 * np.pi - 0.75, 80), np.linspace(2 * np.pi - 1.25, 1.25, 60)
             moon = np.stack([np.cos(out), np.sin(out)], -1)
             return [np.concatenate([moon, np.stack([0.42 + 0.72 * np.cos(back), 0.72 * np.sin(back)], -1)])]
-    word = _WORDS[int(rng.integers(len(_WORDS)))]
     lines, left = [], 0.0
-    for letter in word:
+    for letter in pick(rng, _WORDS):
         strokes = [2 * np.array(line) + (left, -1.0) for line in _LETTERS[letter]]
         lines += [_bent(stroke, 0.16) for stroke in strokes]
         left = max(float(stroke[:, 0].max()) for stroke in strokes) + 0.5

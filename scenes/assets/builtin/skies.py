@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike
 
 from multilight.scenes.arrays import Float32, Float64
 from multilight.scenes.assets.cache import write_once
-from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.colour import LUMINANCE_WEIGHTS, RGB_FROM_XYZ
 
 ELEVATIONS = (3, 8, 15, 25, 40, 60)
@@ -141,9 +140,9 @@ def colour_matching(nm: ArrayLike) -> Float64:
     """
     wavelength = np.asarray(nm, np.float64)
 
-    def lobe(height: float, middle: float, left: float, right: float) -> Float64:
-        width = np.where(wavelength < middle, left, right)
-        return np.asarray(height * np.exp(-0.5 * ((wavelength - middle) / width) ** 2))
+    def lobe(height: float, peak: float, left: float, right: float) -> Float64:
+        width = np.where(wavelength < peak, left, right)
+        return np.asarray(height * np.exp(-0.5 * ((wavelength - peak) / width) ** 2))
 
     x = lobe(1.056, 599.8, 37.9, 31.0) + lobe(0.362, 442.0, 16.0, 26.7) + lobe(-0.065, 501.1, 20.4, 26.2)
     y = lobe(0.821, 568.8, 46.9, 40.5) + lobe(0.286, 530.9, 16.3, 31.1)
@@ -186,23 +185,6 @@ def sky_name(elevation: float, turbidity: float) -> str:
     """Return the name of the map whose sun and haze come nearest to `elevation` [rad] and `turbidity`."""
     height = float(np.degrees(elevation))
     return f"sky-{min(ELEVATIONS, key=lambda e: abs(e - height))}-{min(TURBIDITIES, key=lambda t: abs(t - turbidity))}"
-
-
-def sky_infos(*, licence: str, creator: str) -> list[AssetInfo]:
-    """List the skies as assets of the pack `builtin`, of category `sky`, each a place of its own."""
-    return [
-        AssetInfo(
-            id=f"builtin/{name}",
-            pack="builtin",
-            role="environment",
-            name=name.replace("-", " "),
-            category="sky",
-            licence=licence,
-            creator=creator,
-            place=name,
-        )
-        for name in SKIES
-    ]
 
 
 def sky_path(name: str, folder: Path) -> Path:

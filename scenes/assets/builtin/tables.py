@@ -3,8 +3,18 @@
 import numpy as np
 
 from multilight.scenes.assets.builtin.parts import Part, Rng, metal, paint, patterned
-from multilight.scenes.assets.builtin.primitives import Surface, lathe, merge, rotation, rounded, rounded_box, tube
+from multilight.scenes.assets.builtin.primitives import (
+    Surface,
+    cylinder,
+    lathe,
+    merge,
+    rotation,
+    rounded,
+    rounded_box,
+    tube,
+)
 from multilight.scenes.spec import Material
+from multilight.scenes.streams import pick
 
 TOPS = (
     ("wood-oak", 0.8, 0.45, 0.25),
@@ -20,15 +30,14 @@ TOPS = (
 
 def top_material(rng: Rng) -> Material:
     """Draw what a table top is made of."""
-    name, size, roughness, coat = TOPS[int(rng.integers(len(TOPS)))]
+    name, size, roughness, coat = pick(rng, TOPS)
     return patterned("top", name, size, roughness, coat=coat)
 
 
 def leg_material(rng: Rng) -> Material:
     """Draw what the legs are made of."""
-    wood = ("wood-oak", "wood-walnut", "wood-pine")[int(rng.integers(3))]
-    timber = patterned("legs", wood, 0.5, 0.5, coat=0.2)
-    other = (metal(rng), paint(rng))[int(rng.integers(2))].model_copy(update={"name": "legs"})
+    timber = patterned("legs", pick(rng, ("wood-oak", "wood-walnut", "wood-pine")), 0.5, 0.5, coat=0.2)
+    other = pick(rng, (metal(rng), paint(rng))).model_copy(update={"name": "legs"})
     return timber if rng.random() < 0.6 else other
 
 
@@ -42,15 +51,11 @@ def _beam(start: tuple[float, float, float], end: tuple[float, float, float], se
     return rounded_box((section, section, length), 0.004).moved(a, np.stack([x, np.cross(z, x), z], -1))
 
 
-def _four(x: float, y: float, leg: Surface) -> list[Surface]:
-    return [leg.moved((sx * x, sy * y, 0)) for sx in (-1, 1) for sy in (-1, 1)]
-
-
 def table_round(rng: Rng) -> list[Part]:
     """Make a round table on one turned pedestal, 0.8 to 1.2 m wide."""
     r, h, t = float(rng.uniform(0.40, 0.6)), float(rng.uniform(0.70, 0.76)), float(rng.uniform(0.02, 0.035))
     edge = float(rng.uniform(0.2, 0.48)) * t
-    top = lathe(rounded([(0, 0), (r, 0), (r, t), (0, t)], edge), segments=128, planar_uv=True).moved((0, 0, h - t))
+    top = cylinder(r, t, edge, segments=128, planar_uv=True).moved((0, 0, h - t))
     foot = r * 0.6
     stem = [(0, 0), (foot, 0), (foot, 0.02), (0.06, 0.06), (0.045, 0.3 * h), (0.055, 0.7 * h)]
     stem += [(0.05, h - t - 0.06), (0.16, h - t - 0.012), (0.16, h - t), (0, h - t)]
@@ -62,7 +67,7 @@ def _with_legs(rng: Rng, x: float, y: float, h: float, *, section: float, t: flo
     top = rounded_box((x, y, t), float(rng.uniform(0.1, 0.45)) * t).moved((0, 0, h - t))
     apron = 0.07 if h > 0.6 else 0.04
     leg = rounded_box((section, section, h - t), 0.005)
-    frame = _four(x / 2 - section / 2 - 0.02, y / 2 - section / 2 - 0.02, leg)
+    frame = leg.at_corners(x / 2 - section / 2 - 0.02, y / 2 - section / 2 - 0.02)
     for sign in (-1, 1):
         long = rounded_box((x - 0.04 - 2 * section, 0.02, apron), 0.003)
         short = rounded_box((0.02, y - 0.04 - 2 * section, apron), 0.003)
@@ -111,7 +116,7 @@ def table_workbench(rng: Rng) -> list[Part]:
 def table_bistro(rng: Rng) -> list[Part]:
     """Make a small round table on three bent steel legs, 0.8 to 1.0 m wide."""
     r, h, t = float(rng.uniform(0.40, 0.5)), float(rng.uniform(0.70, 0.75)), 0.02
-    top = lathe(rounded([(0, 0), (r, 0), (r, t), (0, t)], 0.006), segments=128, planar_uv=True).moved((0, 0, h - t))
+    top = cylinder(r, t, 0.006, segments=128, planar_uv=True).moved((0, 0, h - t))
     bend = rounded([(0.8 * r, 0.012), (0.1 * r, 0.5 * h), (0.7 * r, h - t - 0.008)], 0.35, steps=24)
     path = np.stack([bend[:, 0], 0 * bend[:, 0], bend[:, 1]], -1)
     leg = tube(path, 0.011)

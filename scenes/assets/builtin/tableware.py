@@ -14,10 +14,10 @@ from multilight.scenes.assets.builtin.parts import (
     metal,
     paint,
     patterned,
-    pick,
 )
 from multilight.scenes.assets.builtin.primitives import lathe, merge, rounded, sphere, tube
 from multilight.scenes.spec import Material, Rgb
+from multilight.scenes.streams import pick
 
 
 def vessel(outer: Float64, wall: float, *, lip: float = 0.5) -> Float64:
@@ -35,6 +35,13 @@ def vessel(outer: Float64, wall: float, *, lip: float = 0.5) -> Float64:
     arc = rim + wall / 2 * (np.cos(angle) * normals[-1] + 2 * lip * np.sin(angle) * along)
     end = np.array([[inner[-1, 0], floor], [0.0, floor]])
     return np.concatenate([outer, arc, inner, end])
+
+
+def beaker(foot: float, rim: float, height: float, *, bevel: float, wall: float, lip: float = 0.5) -> Float64:
+    """Return the profile of a hollow vessel with a straight side from a radius at its foot to one at its rim [m]."""
+    outer = rounded([(0, 0), (foot, 0), (rim, height)], [0, bevel, 0])
+    levels = np.linspace(outer[-2], outer[-1], 12)
+    return vessel(np.concatenate([outer[:-2], levels]), wall, lip=lip)
 
 
 def curve(points: list[tuple[float, float]], *, smooth: int = 48) -> Float64:
@@ -80,15 +87,7 @@ def plate(rng: Rng) -> list[Part]:
     """Make a plate 16 to 27 cm wide."""
     r, h = float(rng.uniform(0.08, 0.135)), float(rng.uniform(0.012, 0.024))
     foot = float(rng.uniform(0.55, 0.68)) * r
-    outer = [
-        (0, 0.0),
-        (foot, 0.0),
-        (foot + 0.006, 0.004),
-        (r, h),
-        (r - 0.001, h + 0.0035),
-        (foot, 0.0065),
-        (0, 0.0055),
-    ]
+    outer = [(0, 0.0), (foot, 0.0), (foot + 0.006, 0.004), (r, h), (r - 0.001, h + 0.0035), (foot, 0.0065), (0, 0.0055)]
     profile = rounded(outer, [0, 0.002, 0.012, 0.0016, 0.0016, 0.02, 0])
     return [(lathe(profile, segments=96, planar_uv=True), ceramic(rng))]
 
@@ -98,12 +97,7 @@ def vase(rng: Rng) -> list[Part]:
     h = float(rng.uniform(0.12, 0.34))
     belly, neck, lip = (float(v) for v in rng.uniform((0.22, 0.10, 1.0), (0.34, 0.18, 1.5)))
     where = float(rng.uniform(0.25, 0.6))
-    points = [
-        (belly * rng.uniform(0.5, 0.8) * h, 0),
-        (belly * h, where * h),
-        (neck * h, 0.85 * h),
-        (neck * lip * h, h),
-    ]
+    points = [(belly * rng.uniform(0.5, 0.8) * h, 0), (belly * h, where * h), (neck * h, 0.85 * h), (neck * lip * h, h)]
     fluted = rng.random() < 0.35
     surface = lathe(
         vessel(footed(curve([(float(r), float(z)) for r, z in points], smooth=48)), 0.004),
@@ -121,14 +115,7 @@ def bottle(rng: Rng) -> list[Part]:
     shoulder = float(rng.uniform(0.5, 0.68)) * h
     corners = [(0, 0), (r, 0), (r, shoulder), (neck, shoulder + 1.1 * (r - neck)), (neck, h)]
     body = vessel(rounded(corners, [0, 0.006, 0.03, 0.03, 0], steps=10), 0.0028)
-    plug = [
-        (0, 0),
-        (neck * 0.72, 0),
-        (neck * 0.76, 0.02),
-        (neck * 1.1, 0.02),
-        (neck * 1.1, 0.032),
-        (0, 0.032),
-    ]
+    plug = [(0, 0), (neck * 0.72, 0), (neck * 0.76, 0.02), (neck * 1.1, 0.02), (neck * 1.1, 0.032), (0, 0.032)]
     cork = Material(name="cork", base_color=(0.45, 0.27, 0.14), roughness=0.9)
     stopper = lathe(rounded(plug, 0.0015)).moved((0, 0, h - 0.0195))
     return [(lathe(body), glass(rng, BOTTLE_TINTS)), (stopper, cork if rng.random() < 0.6 else metal(rng))]
@@ -139,15 +126,7 @@ def jar(rng: Rng) -> list[Part]:
     r, h = float(rng.uniform(0.035, 0.055)), float(rng.uniform(0.08, 0.17))
     corners = [(0, 0), (r, 0), (r, h - 0.018), (r * 0.86, h - 0.008), (r * 0.86, h)]
     body = lathe(vessel(rounded(corners, [0, 0.006, 0.008, 0.004, 0]), 0.003))
-    lid = [
-        (0, 0),
-        (r * 0.93, 0),
-        (r * 0.93, 0.016),
-        (0.008, 0.018),
-        (0.007, 0.024),
-        (0.013, 0.034),
-        (0, 0.038),
-    ]
+    lid = [(0, 0), (r * 0.93, 0), (r * 0.93, 0.016), (0.008, 0.018), (0.007, 0.024), (0.013, 0.034), (0, 0.038)]
     top = lathe(rounded(lid, [0, 0.002, 0.004, 0.003, 0.004, 0.007, 0])).moved((0, 0, h - 0.001))
     wood = patterned("lid", "wood-oak", 0.4, 0.5)
     return [(body, glass(rng) if rng.random() < 0.5 else ceramic(rng)), (top, wood)]
@@ -158,9 +137,7 @@ def tumbler(rng: Rng) -> list[Part]:
     h = float(rng.uniform(0.08, 0.15))
     r = float(rng.uniform(0.03, 0.042))
     foot = r * float(rng.uniform(0.75, 1.0))
-    outer = rounded([(0, 0), (foot, 0), (r, h)], [0, 0.004, 0])
-    levels = np.linspace(outer[-2], outer[-1], 12)
-    return [(lathe(vessel(np.concatenate([outer[:-2], levels]), 0.0024)), glass(rng))]
+    return [(lathe(beaker(foot, r, h, bevel=0.004, wall=0.0024)), glass(rng))]
 
 
 def can(rng: Rng) -> list[Part]:
@@ -175,16 +152,7 @@ def pawn(rng: Rng) -> list[Part]:
     """Make a turned figure like a chess pawn, 7 to 14 cm high."""
     s = float(rng.uniform(0.07, 0.14))
     ball, waist = float(rng.uniform(0.13, 0.18)), float(rng.uniform(0.08, 0.11))
-    stem = [
-        (0, 0),
-        (0.25, 0),
-        (0.25, 0.09),
-        (0.19, 0.16),
-        (waist, 0.55),
-        (0.18, 0.6),
-        (0.18, 0.63),
-        (0.09, 0.66),
-    ]
+    stem = [(0, 0), (0.25, 0), (0.25, 0.09), (0.19, 0.16), (waist, 0.55), (0.18, 0.6), (0.18, 0.63), (0.09, 0.66)]
     angle = np.linspace(-0.9, np.pi / 2, 20)
     head = np.stack([ball * np.cos(angle), 1 - ball + ball * np.sin(angle)], -1)
     profile = np.concatenate([rounded(stem, [0, 0.03, 0.05, 0.1, 0.2, 0.02, 0.02, 0]), head]) * s
@@ -195,7 +163,7 @@ def pawn(rng: Rng) -> list[Part]:
 def ball(rng: Rng) -> list[Part]:
     """Make a plain ball 4 to 12 cm wide."""
     makers: tuple[Callable[[Rng], Material], ...] = (paint, metal, ceramic, glass)
-    return [(sphere(float(rng.uniform(0.02, 0.06))), makers[int(rng.integers(4))](rng))]
+    return [(sphere(float(rng.uniform(0.02, 0.06))), pick(rng, makers)(rng))]
 
 
 def fruit(rng: Rng) -> list[Part]:

@@ -2,11 +2,19 @@
 
 import numpy as np
 
-from multilight.scenes.assets.builtin.parts import PAINTS, Part, Rng, ceramic, metal, paint, patterned, pick, tiled
-from multilight.scenes.assets.builtin.primitives import lathe, merge, prism, rotation, rounded, rounded_box, torus
+from multilight.scenes.assets.builtin.parts import PAINTS, PAPER, Part, Rng, ceramic, metal, paint, patterned, tiled
+from multilight.scenes.assets.builtin.primitives import (
+    circle,
+    lathe,
+    merge,
+    prism,
+    rotation,
+    rounded,
+    rounded_box,
+    torus,
+)
 from multilight.scenes.spec import Material
-
-PAPER = Material(name="paper", base_color=(0.78, 0.72, 0.60), roughness=0.9)
+from multilight.scenes.streams import pick
 
 
 def book(rng: Rng) -> list[Part]:
@@ -31,13 +39,9 @@ def book(rng: Rng) -> list[Part]:
 def box(rng: Rng) -> list[Part]:
     """Make a wooden, painted or metal box with rounded edges."""
     size = rng.uniform((0.06, 0.06, 0.03), (0.20, 0.14, 0.12))
-    wood = ("wood-oak", "wood-walnut", "wood-cherry")[int(rng.integers(3))]
-    materials = (
-        patterned("wood", wood, 0.4, 0.45, coat=0.3),
-        paint(rng),
-        metal(rng),
-    )
-    return [(rounded_box(size, float(rng.uniform(0.002, 0.012))), materials[int(rng.integers(3))])]
+    timber = patterned("wood", pick(rng, ("wood-oak", "wood-walnut", "wood-cherry")), 0.4, 0.45, coat=0.3)
+    materials = (timber, paint(rng), metal(rng))
+    return [(rounded_box(size, float(rng.uniform(0.002, 0.012))), pick(rng, materials))]
 
 
 def block(rng: Rng) -> list[Part]:
@@ -50,9 +54,7 @@ def block(rng: Rng) -> list[Part]:
         surface = rounded_box((2.5 * edge, edge, edge), 0.002)
     else:
         sides = {1: 3, 2: 6, 3: 48}[kind]
-        angle = 2 * np.pi * np.arange(sides) / sides
-        outline = 0.6 * edge * np.stack([np.cos(angle), np.sin(angle)], -1)
-        surface = prism(rounded(outline, 0.003, closed=True, steps=4), edge, 0.0015)
+        surface = prism(rounded(circle(sides, 0.6 * edge), 0.003, closed=True, steps=4), edge, 0.0015)
     return [(surface, paint(rng))]
 
 
@@ -63,7 +65,7 @@ def die(rng: Rng) -> list[Part]:
     """Make a die 16 to 40 mm wide; opposite faces add up to seven."""
     edge = float(rng.uniform(0.016, 0.04))
     pip = lathe(rounded([(0, -0.02), (0.09, -0.02), (0.085, 0.004), (0, 0.006)], [0, 0, 0.01, 0]) * edge, segments=24)
-    turns = [
+    sides = [
         (1, np.eye(3)),
         (6, rotation("x", np.pi)),
         (2, rotation("x", np.pi / 2)),
@@ -72,10 +74,10 @@ def die(rng: Rng) -> list[Part]:
         (4, rotation("y", -np.pi / 2)),
     ]
     spots = []
-    for value, turn in turns:
+    for value, upwards in sides:
         for place in PIPS[value]:
             offset = np.array([0.26 * (place % 3 - 1), 0.26 * (place // 3 - 1), 0.5]) * edge
-            spots.append(pip.moved(offset).moved((0, 0, edge / 2), turn))
+            spots.append(pip.moved(offset).moved((0, 0, edge / 2), upwards))
     dark = rng.random() < 0.4
     colour = pick(rng, PAINTS[:4]) if dark else (0.8, 0.79, 0.75)
     body = Material(name="body", base_color=colour, roughness=0.25, coat=0.5)
@@ -86,16 +88,7 @@ def die(rng: Rng) -> list[Part]:
 def coins(rng: Rng) -> list[Part]:
     """Make a stack of coins, each a little off."""
     radius, thickness = float(rng.uniform(0.010, 0.016)), 0.0022
-    rim = [
-        (0, 0.0003),
-        (0.86, 0.0003),
-        (0.88, 0),
-        (1, 0),
-        (1, 0.0022),
-        (0.88, 0.0022),
-        (0.86, 0.0019),
-        (0, 0.0019),
-    ]
+    rim = [(0, 0.0003), (0.86, 0.0003), (0.88, 0), (1, 0), (1, 0.0022), (0.88, 0.0022), (0.86, 0.0019), (0, 0.0019)]
     profile = rounded([(r * radius, z) for r, z in rim], [0, 0.0002, 0.0002, 0.0005, 0.0005, 0.0002, 0.0002, 0])
     one = lathe(profile, segments=32, planar_uv=True)
     stack = [one.moved((*rng.normal(0, 0.0006, 2), i * thickness)) for i in range(int(rng.integers(3, 12)))]
@@ -106,4 +99,4 @@ def ring(rng: Rng) -> list[Part]:
     """Make a lying ring, 4 to 14 cm wide."""
     major = float(rng.uniform(0.02, 0.06))
     makers = (metal, paint, ceramic)
-    return [(torus(major, major * float(rng.uniform(0.15, 0.35)), segments=96), makers[int(rng.integers(3))](rng))]
+    return [(torus(major, major * float(rng.uniform(0.15, 0.35)), segments=96), pick(rng, makers)(rng))]

@@ -7,27 +7,31 @@ import numpy as np
 
 from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.info import AssetInfo
-from multilight.scenes.kinds.rooms.footing import Standing, standing_of
+from multilight.scenes.kinds.rooms.finish import unlit
+from multilight.scenes.kinds.rooms.footing import footing_of, shelves_of
 from multilight.scenes.kinds.rooms.layouts import RoomType
-from multilight.scenes.kinds.rooms.plan import Placed, Plan, pose_at
+from multilight.scenes.kinds.rooms.plan import LIFT, PlacedPiece, Plan
 from multilight.scenes.kinds.rooms.shelves import Shelf
-from multilight.scenes.materials import GLOW, body_materials
-from multilight.scenes.spec import Material
+from multilight.scenes.materials import body_materials
+from multilight.scenes.poses import about_z, apply_pose, pose_at
 from multilight.scenes.still_life.placement import PlacementError
+from multilight.scenes.still_life.selection import draw_by_category
+from multilight.scenes.streams import pick
 
-EDGE = 0.008
-"""Smallest distance [m] of a footprint to the edge of its surface."""
-TRIES = 24
-MOST = 36
-"""Objects that lie about a room at most, besides books and those inserted."""
-EMISSIVE_SHARE = 1 / 3
-REACH = 1.1
-"""Distance [m] within which the inserted objects lie from each other."""
-INSERTED = (0.15, 0.5)
-"""Longest side [m] of objects inserted on furniture."""
-FLOOR_INSERTED = (0.24, 0.95)
-"""Longest side [m] of objects inserted on the floor."""
-THIN = 0.05
+# Measures of what lies about [m, m²], and how often [probability].
+EDGE = 0.008  # smallest distance of a footprint to the edge of its surface
+HEADROOM = 0.01  # air below the board above
+ASKEW, ASKEW_BOOKS = 0.6, 0.02  # deviation [rad] of objects' fronts from that of the furniture; of rows of books
+TRIES = 24  # poses of an object on one surface, places for it on the floor
+MOST = 36  # objects in a room, besides books and those inserted
+CROWD, CROWDED = 6.0, 0.8  # objects a square metre, besides one on each surface; area beyond which no more come
+GLOWING = 1 / 3  # an inserted object glows in any case
+INSERTED_LAMP_LIT, LAMP_LIT = 0.5, 0.4  # any other inserted lamp; one that lies about
+REACH = 1.1  # within which the inserted objects lie from each other
+INSERTED, FLOOR_INSERTED, THIN = (0.15, 0.5), (0.24, 0.95), 0.05  # their longest sides; their second, at least
+SURFACES, OPEN = (0.25, 1.35), 0.2  # heights of surfaces that objects are inserted on, and what is free above
+FOCUS, NEAR = (0.09, 0.6), 0.05  # area of the first of them: at least, and what makes it no likelier; of those near
+LITTER, FLOOR_LITTER = (0.03, 0.5), (0.12, 0.8)  # longest sides of what else lies about
 _BEARERS = frozenset(
     {
         "table", "round", "rectangular", "trestle", "bistro", "coffee_table", "coffee", "desk", "sideboard",
@@ -57,11 +61,16 @@ _ON_FLOOR = frozenset(
 
 @dataclass(frozen=True)
 class Spot:
-    """A surface of a piece of furniture; its middle in the world (3,) [m]."""
+    """A surface of a piece of furniture; its centre in the world (3,) [m]."""
 
-    owner: Placed
+    owner: PlacedPiece
     shelf: Shelf
-    middle: Float64
+    centre: Float64
+
+    @property
+    def area(self) -> float:
+        """Free area [m²]."""
+        return self.shelf.surface.area
 
 
 class Objects:
@@ -74,61 +83,61 @@ class Objects:
     def spots(self) -> list[Spot]:
         """List the surfaces of all furniture that bears things."""
         found = []
-        for placed in list(self.plan.placed.values()):
+        for placed in self.plan.placed.values():
             if placed.piece.info.category in _BEARERS:
-                for shelf in self.plan.shelves(placed):
+                for shelf in shelves_of(placed.piece.mesh):
                     local = np.append(shelf.surface.centres.mean(axis=0), shelf.surface.height)
-                    found.append(Spot(placed, shelf, placed.pose[:3, :3] @ local + placed.pose[:3, 3]))
+                    found.append(Spot(placed, shelf, apply_pose(placed.pose, local)))
         return found
 
-    def standing(self, info: AssetInfo) -> Standing | None:
-        """Return how an asset stands as it comes, None where it falls over or is broken."""
-        piece = self.plan.piece(info)
-        return None if piece is None else standing_of(piece.mesh)
+    def draw(self, rng: np.random.Generator, infos: Sequence[AssetInfo]) -> AssetInfo | None:
+        """Draw a category, then one of its assets that is not in the room yet; None where there is none."""
+        fresh = [info for info in infos if info.id not in self.used]
+        return draw_by_category(rng, fresh) if fresh else None
 
     def put(self, rng: np.random.Generator, info: AssetInfo, spot: Spot, *, glows: bool = False) -> str | None:
         """Stand an object somewhere on a surface, most with their front to the room; None where it does not fit."""
-        item = self.standing(info)
-        if item is None or item.height > spot.shelf.headroom - 0.01:
+        piece = self.plan.piece(info)
+        footing = None if piece is None else footing_of(piece.mesh)
+        if footing is None or footing.height > spot.shelf.headroom - HEADROOM:
             return None
         surface, owner = spot.shelf.surface, spot.owner
-        cells = surface.centres
-        neat = info.category == "books"
         for _ in range(TRIES):
-            yaw = float(rng.normal(0.0, 0.02 if neat else 0.6))
-            turn = pose_at((0.0, 0.0), 0.0, yaw)
-            outline = item.footprint @ turn[:2, :2].T
-            place = cells[int(rng.integers(len(cells)))]
+            yaw = float(rng.normal(0.0, ASKEW_BOOKS if info.category == "books" else ASKEW))
+            outline = footing.footprint @ about_z(yaw)[:2, :2].T
+            place = surface.centres[int(rng.integers(len(surface.centres)))]
             if not surface.supports(outline + place, EDGE):
                 continue
-            pose = owner.pose @ pose_at(place, surface.height - item.lowest + float(rng.uniform(0.0, 0.0002)), yaw)
-            name = self._add(rng, info, pose, apart_from=(owner.name,), glows=glows)
+            level = surface.height - footing.lowest + float(rng.uniform(0.0, LIFT))
+            name = self._add(rng, info, owner.pose @ pose_at(place, level, yaw), apart_from=(owner.name,), glows=glows)
             if name is not None:
                 return name
         return None
 
     def put_on_floor(self, rng: np.random.Generator, info: AssetInfo, near: Float64, reach: float) -> str | None:
         """Stand an object on the floor, or wholly on a rug, within `reach` [m] of a point (2,)."""
-        item = self.standing(info)
-        if item is None:
+        piece = self.plan.piece(info)
+        footing = None if piece is None else footing_of(piece.mesh)
+        if piece is None or footing is None:
             return None
         for _ in range(TRIES):
             angle = float(rng.uniform(0.0, 2 * np.pi))
             place = near + reach * np.sqrt(rng.uniform(0.05, 1.0)) * np.array([np.cos(angle), np.sin(angle)])
-            pose = pose_at(place, -item.lowest + 0.0002, float(rng.uniform(0.0, 2 * np.pi)))
-            low, high = self.plan.box(self.plan.piece(info), pose)  # type: ignore[arg-type]
-            rugs = [
-                name for name in self.plan.touched(low, high) if self.plan.placed[name].piece.info.category == "rug"
-            ]
-            base = self.plan.placed[rugs[0]] if rugs else None
-            if base is not None:
-                if (low[:2] < base.low[:2]).any() or (high[:2] > base.high[:2]).any():
+            pose = pose_at(place, -footing.lowest + LIFT, float(rng.uniform(0.0, 2 * np.pi)))
+            low, high = self.plan.box(piece, pose)
+            rugs = [name for name in self.plan.touched(low, high) if self._is_rug(name)]
+            if rugs:
+                rug = self.plan.placed[rugs[0]]
+                if (low[:2] < rug.low[:2]).any() or (high[:2] > rug.high[:2]).any():
                     continue
-                pose[2, 3] += base.high[2]
+                pose[2, 3] += rug.high[2]
             name = self._add(rng, info, pose, apart_from=rugs)
             if name is not None:
                 return name
         return None
+
+    def _is_rug(self, name: str) -> bool:
+        return self.plan.placed[name].piece.info.category == "rug"
 
     def _add(
         self,
@@ -140,21 +149,12 @@ class Objects:
         glows: bool = False,
     ) -> str | None:
         piece = self.plan.piece(info)
-        if piece is None:
-            return None
-        low, high = self.plan.box(piece, pose)
-        if not self.plan.is_free(low, high, apart_from=apart_from, zones=False):
+        if piece is None or not self.plan.is_free(*self.plan.box(piece, pose), apart_from=apart_from, zones=False):
             return None
         materials = body_materials(rng, self.plan.library, info, piece.mesh, glows=glows)
-        if not glows:
-            materials = tuple(_unlit(material) for material in materials)
         self.used.add(info.id)
-        return self.plan.put(piece, pose, materials, role="object").name
-
-
-def _unlit(material: Material) -> Material:
-    """Rename what would be taken for a lamp."""
-    return material.model_copy(update={"name": "opal"}) if material.name == GLOW else material
+        made = materials if glows else tuple(unlit(material) for material in materials)
+        return self.plan.put(piece, pose, made, role="object").name
 
 
 def _infos(plan: Plan, categories: Sequence[str] | frozenset[str], sides: tuple[float, float]) -> list[AssetInfo]:
@@ -163,53 +163,50 @@ def _infos(plan: Plan, categories: Sequence[str] | frozenset[str], sides: tuple[
     return [i for i in infos if i.category in categories and i.size and sides[0] <= max(i.size) <= sides[1]]
 
 
-def _draw(rng: np.random.Generator, infos: list[AssetInfo], used: set[str]) -> AssetInfo | None:
-    """Draw a category, then one of its assets that is not in the room yet."""
-    fresh = [info for info in infos if info.id not in used]
-    if not fresh:
-        return None
-    categories = sorted({info.category for info in fresh})
-    wanted = categories[int(rng.integers(len(categories)))]
-    members = [info for info in fresh if info.category == wanted]
-    return members[int(rng.integers(len(members)))]
-
-
 def insert(rng: np.random.Generator, objects: Objects, kind: RoomType, count: int, glows: bool) -> list[str]:
     """Place the objects whose removal is rendered: on one surface, on the floor beside it, and on surfaces near.
 
     Returns their names. Raises `PlacementError` where the furniture leaves no room for them.
     """
-    plan = objects.plan
-    spots = [s for s in objects.spots() if 0.25 <= s.middle[2] <= 1.35 and s.shelf.headroom > 0.2]
-    wide = [s for s in spots if s.shelf.surface.area > 0.09 and s.owner.piece.info.category != "radiator"]
-    if not wide:
-        raise PlacementError(f"no surface for inserted objects among {len(spots)} in a {kind} room")
-    shares = np.array([min(s.shelf.surface.area, 0.6) for s in wide])
-    focus = wide[int(rng.choice(len(wide), p=shares / shares.sum()))]
-    near = [s for s in spots if 0.0 < np.linalg.norm(s.middle - focus.middle) < REACH and s.shelf.surface.area > 0.05]
-    small = [
-        i
-        for i in _infos(plan, (*_COMMON, *_HABITS[kind]), INSERTED)
-        if i.size is not None and sorted(i.size)[1] >= THIN
-    ]
-    large = _infos(plan, _ON_FLOOR, FLOOR_INSERTED)
-    lamps = [i for i in _infos(plan, _GLOWING, INSERTED) if i.emissive_part]
+    focus, near = _stage(rng, objects, kind)
+    small, large, lamps = _insertable(objects.plan, kind)
     names: list[str] = []
     for attempt in range(60 * count):
         if len(names) == count:
             return names
-        turn = (len(names) + attempt // 20) % 3
-        lit = glows and not names and bool(lamps)
-        info = _draw(rng, lamps if lit else large if turn == 1 else small, objects.used)
+        lamp = glows and not names and bool(lamps)
+        # Alternately on the surface, on the floor and near by; every twenty attempts the next comes first.
+        where = (len(names) + attempt // 20) % 3
+        info = objects.draw(rng, lamps if lamp else large if where == 1 else small)
         if info is None:
             continue
-        if turn == 1 and not lit:
-            name = objects.put_on_floor(rng, info, focus.middle[:2], REACH)
+        if where == 1 and not lamp:
+            name = objects.put_on_floor(rng, info, focus.centre[:2], REACH)
         else:
-            spot = near[int(rng.integers(len(near)))] if turn == 2 and near else focus
-            name = objects.put(rng, info, spot, glows=lit or (info.category == "lamp" and rng.random() < 0.5))
+            spot = pick(rng, near) if where == 2 and near else focus
+            lit = lamp or (info.category == "lamp" and rng.random() < INSERTED_LAMP_LIT)
+            name = objects.put(rng, info, spot, glows=lit)
         names += [] if name is None else [name]
     raise PlacementError(f"only {len(names)} of {count} objects found a place in a {kind} room")
+
+
+def _insertable(plan: Plan, kind: RoomType) -> tuple[list[AssetInfo], list[AssetInfo], list[AssetInfo]]:
+    """List what may be inserted: on furniture, on the floor, and what can glow."""
+    small = _infos(plan, (*_COMMON, *_HABITS[kind]), INSERTED)
+    lamps = [info for info in _infos(plan, _GLOWING, INSERTED) if info.emissive_part]
+    return [i for i in small if i.size and sorted(i.size)[1] >= THIN], _infos(plan, _ON_FLOOR, FLOOR_INSERTED), lamps
+
+
+def _stage(rng: np.random.Generator, objects: Objects, kind: RoomType) -> tuple[Spot, list[Spot]]:
+    """Draw the surface that objects are inserted on, large ones more often, and list those near it."""
+    spots = [s for s in objects.spots() if SURFACES[0] <= s.centre[2] <= SURFACES[1] and s.shelf.headroom > OPEN]
+    wide = [s for s in spots if s.area > FOCUS[0] and s.owner.piece.info.category != "radiator"]
+    if not wide:
+        raise PlacementError(f"no surface for inserted objects among {len(spots)} in a {kind} room")
+    weights = np.array([min(s.area, FOCUS[1]) for s in wide])
+    focus = wide[int(rng.choice(len(wide), p=weights / weights.sum()))]
+    near = [s for s in spots if 0.0 < np.linalg.norm(s.centre - focus.centre) < REACH and s.area > NEAR]
+    return focus, near
 
 
 def litter(rng: np.random.Generator, objects: Objects, kind: RoomType) -> None:
@@ -220,26 +217,28 @@ def litter(rng: np.random.Generator, objects: Objects, kind: RoomType) -> None:
     for spot in spots:
         if spot.owner.piece.info.category in _SHELVED and rows:
             for _ in range(int(rng.integers(1, 4))):
-                objects.put(rng, rows[int(rng.integers(len(rows)))], spot)
-    pool = _infos(plan, (*_COMMON, *_HABITS[kind]), (0.03, 0.5))
+                objects.put(rng, pick(rng, rows), spot)
+    pool = _infos(plan, (*_COMMON, *_HABITS[kind]), LITTER)
     left = MOST
     for i in rng.permutation(len(spots)):
-        spot = spots[int(i)]
-        side = 0.9 * np.sqrt(spot.shelf.surface.area)
-        fitting = [
-            info
-            for info in pool
-            if info.size and max(info.size[:2]) < side and info.size[2] < spot.shelf.headroom - 0.01
-        ]
-        wanted = min(left, 1 + int(rng.poisson(6.0 * min(spot.shelf.surface.area, 0.8))))
-        for _ in range(2 * wanted):
-            info = _draw(rng, fitting, objects.used)
-            lit = info is not None and info.category == "lamp" and rng.random() < 0.4
-            if wanted and info is not None and objects.put(rng, info, spot, glows=lit) is not None:
-                left, wanted = left - 1, wanted - 1
-    floor = _infos(plan, _ON_FLOOR, (0.12, 0.8))
+        left -= _strew(rng, objects, spots[int(i)], pool, left)
+    floor = _infos(plan, _ON_FLOOR, FLOOR_LITTER)
     for _ in range(int(rng.integers(1, 4))):
-        info = _draw(rng, floor, objects.used)
+        info = objects.draw(rng, floor)
         if info is not None:
             half = min(plan.shell.width, plan.shell.depth) / 2
             objects.put_on_floor(rng, info, rng.uniform(-0.4, 0.4, 2) * half, half)
+
+
+def _strew(rng: np.random.Generator, objects: Objects, spot: Spot, pool: list[AssetInfo], most: int) -> int:
+    """Put objects that fit on a surface, `most` at most; return how many found a place."""
+    side, height = 0.9 * np.sqrt(spot.area), spot.shelf.headroom - HEADROOM
+    fitting = [info for info in pool if info.size and max(info.size[:2]) < side and info.size[2] < height]
+    wanted = min(most, 1 + int(rng.poisson(CROWD * min(spot.area, CROWDED))))
+    placed = 0
+    for _ in range(2 * wanted):
+        info = objects.draw(rng, fitting)
+        lit = info is not None and info.category == "lamp" and rng.random() < LAMP_LIT
+        if placed < wanted and info is not None and objects.put(rng, info, spot, glows=lit) is not None:
+            placed += 1
+    return placed

@@ -8,15 +8,23 @@ from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.colour import linear_from_hex
 from multilight.scenes.materials import GLOW, metres_per_uv, pick_texture, sample_material, textured
-from multilight.scenes.meshes import Mesh, MeshPart
+from multilight.scenes.meshes import Mesh, MeshPart, triangle_areas
 from multilight.scenes.spec import Material
+from multilight.scenes.streams import pick
 
-_CLOTHS = (
+_FABRICS = (
     "8d8578", "5f6a72", "3f4a55", "7a3f33", "b9a88a", "4f5a45", "a9a29a", "2f3b52", "a5673f", "6b5b6e", "d2c7b4",
     "3d3d40", "8a9a9b", "b78a4f",
 )  # fmt: skip
 _JOINERY = ("efece4", "efece4", "efece4", "e2dccd", "d9d6cf", "8e8f8c", "4a4d4f", "6f7a70")
 _CASEWORK = ("e9e6de", "c8cdc8", "7f8f88", "5d6f78", "3f4a52", "a88f6f", "d6c6a4", "8c4a3a", "b9b4ab", "46524a")
+WOODEN_JOINERY, LEATHER, COVERED = 0.2, 0.2, 0.8
+"""Probabilities of varnished instead of painted joinery, of leather, and that plain upholstery is covered anew."""
+PAINTED, WOODEN = 0.35, 0.35
+"""Probabilities that plain white furniture is painted, or of wood; else it stays as it is."""
+_TEXTURES = ("base_color_texture", "normal_texture", "roughness_texture")
+_BROWN = {"base_color": (0.36, 0.24, 0.14), "roughness": 0.5}
+"""Wood where no picture of it can lie."""
 UPHOLSTERED = frozenset({"sofa", "armchair", "bed", "pouf", "office_chair"})
 CASEWORK = frozenset(
     {
@@ -28,34 +36,34 @@ CASEWORK = frozenset(
 
 @dataclass(frozen=True)
 class Palette:
-    """The joinery of windows, doors and skirting, two cloths, and what plain white furniture becomes (None: stays)."""
+    """The joinery of windows, doors and skirting, two covers, and what plain white furniture becomes (None: stays)."""
 
     joinery: Material
-    cloths: tuple[Material, Material]
+    covers: tuple[Material, Material]
     casework: Material | None
 
 
 def sample_palette(rng: np.random.Generator, library: AssetLibrary) -> Palette:
     """Draw a room's palette."""
     joinery = sample_material(rng, "paint", colour=linear_from_hex(str(rng.choice(_JOINERY))), name="joinery")
-    if rng.random() < 0.2:
+    if rng.random() < WOODEN_JOINERY:
         joinery = sample_material(rng, "wood", name="joinery")
-    cloths = tuple(_cloth(rng) for _ in range(2))
+    covers = (_cover(rng), _cover(rng))
     chance = rng.random()
     casework: Material | None = None
-    if chance < 0.35:
+    if chance < PAINTED:
         casework = sample_material(rng, "paint", colour=linear_from_hex(str(rng.choice(_CASEWORK))), name="casework")
-    elif chance < 0.7:
+    elif chance < PAINTED + WOODEN:
         info = pick_texture(rng, library, frozenset({"wood"}), laid=False)
         casework = None if info is None else textured(rng, info, "wood")
-    return Palette(joinery, (cloths[0], cloths[1]), casework)
+    return Palette(joinery, covers, casework)
 
 
-def _cloth(rng: np.random.Generator) -> Material:
+def _cover(rng: np.random.Generator) -> Material:
     """Draw a fabric or a leather."""
-    if rng.random() < 0.2:
+    if rng.random() < LEATHER:
         return sample_material(rng, "leather")
-    return sample_material(rng, "fabric", colour=linear_from_hex(str(rng.choice(_CLOTHS))))
+    return sample_material(rng, "fabric", colour=linear_from_hex(str(rng.choice(_FABRICS))))
 
 
 def furniture_materials(
@@ -65,10 +73,9 @@ def furniture_materials(
 
     `lit` names the material of the emissive part `GLOW`; no other part keeps that name.
     """
-    area = [_area(part) for part in mesh.parts]
-    largest = int(np.argmax(area))
-    recover = rng.random() < 0.8
-    cloth = palette.cloths[int(rng.integers(2))]
+    largest = int(np.argmax([triangle_areas(part.triangles()).sum() for part in mesh.parts]))
+    recover = rng.random() < COVERED
+    drawn_cover = pick(rng, palette.covers)
     drawn: dict[str, Material] = {}
     result = []
     for number, part in enumerate(mesh.parts):
@@ -78,25 +85,30 @@ def furniture_materials(
             continue
         key = part.material.canonical_json()
         if key not in drawn:
-            own = part.material
-            if own.name in ("joinery", "leaf"):
-                own = palette.joinery
-            elif info.category in UPHOLSTERED and number == largest and recover and _plain(own):
-                own = cloth
-            elif info.category in CASEWORK and palette.casework is not None and _white(own):
-                own = _at_scale(palette.casework, part)
-            else:
-                spread = float(np.clip(own.roughness * rng.uniform(0.8, 1.25), 0.02, 1.0))
-                own = own.model_copy(update={"roughness": spread})
-            drawn[key] = own.model_copy(update={"name": "opal"}) if own.name == GLOW else own
+            covered = info.category in UPHOLSTERED and number == largest and recover
+            drawn[key] = unlit(_finished(rng, palette, info, part, drawn_cover if covered else None))
         result.append(drawn[key])
     return tuple(result)
 
 
-def _area(part: MeshPart) -> float:
-    """Return the area of a part [m²]."""
-    a, b, c = np.moveaxis(part.vertices[part.faces], 1, 0)
-    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+def unlit(material: Material) -> Material:
+    """Rename what would be taken for a lamp."""
+    return material.model_copy(update={"name": "opal"}) if material.name == GLOW else material
+
+
+def _finished(
+    rng: np.random.Generator, palette: Palette, info: AssetInfo, part: MeshPart, cover: Material | None
+) -> Material:
+    """Draw the material of a part: the palette's, the `cover`, or its own with another roughness."""
+    own = part.material
+    if own.name in ("joinery", "leaf"):
+        return palette.joinery
+    if cover is not None and _plain(own):
+        return cover
+    if info.category in CASEWORK and palette.casework is not None and _white(own):
+        return _at_scale(palette.casework, part)
+    spread = float(np.clip(own.roughness * rng.uniform(0.8, 1.25), 0.02, 1.0))
+    return own.model_copy(update={"roughness": spread})
 
 
 def _plain(material: Material) -> bool:
@@ -117,14 +129,9 @@ def _at_scale(material: Material, part: MeshPart) -> Material:
         return material
     scale = metres_per_uv(part)
     if scale is None or not 0.02 < scale < 50.0:
-        return material.model_copy(
-            update={
-                "base_color": (0.36, 0.24, 0.14), "base_color_texture": None, "normal_texture": None,
-                "roughness_texture": None, "roughness": 0.5,
-            }
-        )  # fmt: skip
+        return material.model_copy(update={**dict.fromkeys(_TEXTURES), **_BROWN})
     scaled = {}
-    for name in ("base_color_texture", "normal_texture", "roughness_texture"):
+    for name in _TEXTURES:
         texture = getattr(material, name)
         if texture is not None:
             repeat = (texture.repeat[0] * scale, texture.repeat[1] * scale)

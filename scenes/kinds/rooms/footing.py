@@ -1,21 +1,29 @@
-"""How a model stands as it comes, and where things can stand on it; worked out once a process for each mesh."""
+"""How a model stands as it comes, whether it hangs, and where things can stand on it."""
 
+from collections import OrderedDict
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import wraps
+from typing import TypeVar
 
 import numpy as np
 from trimesh import Trimesh
 
 from multilight.scenes.arrays import Float64
-from multilight.scenes.geometry.support_surfaces import convex_polygon, inside_convex, stacked_faces
+from multilight.scenes.geometry.support_surfaces import convex_polygon, stacked_faces, stands
 from multilight.scenes.kinds.rooms.shelves import Shelf, find_shelves
-from multilight.scenes.meshes import Mesh
+from multilight.scenes.meshes import Mesh, triangle_areas
 
 TOUCHES = 0.0008
 """Vertices this close [m] to the lowest one carry a body."""
+KEPT = 1024
+"""Meshes of which a process remembers what was worked out: about as many as there are for rooms."""
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class Standing:
+class Footing:
     """How a body stands: its lowest height and its height [m], and its outline from above (N, 2) [m]."""
 
     lowest: float
@@ -23,54 +31,59 @@ class Standing:
     footprint: Float64
 
 
-_standing: dict[str, Standing | None] = {}
-_shelves: dict[str, list[Shelf]] = {}
+def _remembered(measure: Callable[[Mesh], T]) -> Callable[[Mesh], T]:
+    """Work out a thing once for each of the `KEPT` meshes that came last, told apart by their contents."""
+    kept: OrderedDict[str, T] = OrderedDict()
+
+    @wraps(measure)
+    def recall(mesh: Mesh) -> T:
+        key = mesh.sha256()
+        if key not in kept:
+            kept[key] = measure(mesh)
+        kept.move_to_end(key)
+        if len(kept) > KEPT:
+            kept.popitem(last=False)
+        return kept[key]
+
+    return recall
 
 
-def standing_of(mesh: Mesh) -> Standing | None:
+@_remembered
+def footing_of(mesh: Mesh) -> Footing | None:
     """Tell how a mesh stands as it comes; None where it would fall over.
 
     Its centre of mass must lie over what touches the ground: that of the solid where it is closed, else that of its
     convex hull, and that of its surface as well.
     """
-    key = mesh.sha256()
-    if key not in _standing:
-        _standing[key] = _stand(mesh)
-    return _standing[key]
+    vertices = mesh.vertices().astype(np.float64)
+    footprint = convex_polygon(vertices[:, :2])
+    if footprint is None or not stands(vertices, _centres(vertices, mesh), contact=TOUCHES):
+        return None
+    lowest = float(vertices[:, 2].min())
+    return Footing(lowest, float(vertices[:, 2].max()) - lowest, footprint)
+
+
+@_remembered
+def shelves_of(mesh: Mesh) -> list[Shelf]:
+    """Return where things can stand on a mesh (see `find_shelves`)."""
+    return find_shelves(mesh)
 
 
 def hangs(mesh: Mesh) -> bool:
-    """Tell whether a mesh can hang on a wall at its back (+Y): what touches there reaches above its middle."""
+    """Tell whether a mesh can hang on a wall at its back (+Y): what touches there reaches above its centres of mass."""
     vertices = mesh.vertices().astype(np.float64)
     back = vertices[vertices[:, 1] >= vertices[:, 1].max() - TOUCHES]
-    solid = Trimesh(vertices, stacked_faces(mesh), process=False)
-    middle = max(float(solid.convex_hull.center_mass[2]), float(solid.center_mass[2]) if solid.is_watertight else 0.0)
-    return float(back[:, 2].max()) > middle
+    _, *centres = _centres(vertices, mesh)
+    return float(back[:, 2].max()) > max(float(centre[2]) for centre in centres)
 
 
-def shelves_of(mesh: Mesh) -> list[Shelf]:
-    """Return where things can stand on a mesh (see `find_shelves`)."""
-    key = mesh.sha256()
-    if key not in _shelves:
-        _shelves[key] = find_shelves(mesh)
-    return _shelves[key]
-
-
-def _stand(mesh: Mesh) -> Standing | None:
-    vertices = mesh.vertices().astype(np.float64)
+def _centres(vertices: Float64, mesh: Mesh) -> Iterator[Float64]:
+    """Yield centres of mass (3,): of the surface, of the convex hull, and of the solid where it is closed."""
     faces = stacked_faces(mesh)
-    lowest = float(vertices[:, 2].min())
-    carried = convex_polygon(vertices[vertices[:, 2] <= lowest + TOUCHES, :2])
-    footprint = convex_polygon(vertices[:, :2])
-    if carried is None or footprint is None:
-        return None
-    a, b, c = np.moveaxis(vertices[faces], 1, 0)
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    middle = ((a + b + c) / 3 * area[:, None]).sum(axis=0) / max(float(area.sum()), 1e-12)
-    if not inside_convex(carried, middle[:2]):
-        return None
+    triangles = vertices[faces]
+    area = triangle_areas(triangles)
+    yield (triangles.mean(axis=1) * area[:, None]).sum(axis=0) / max(float(area.sum()), 1e-12)
     solid = Trimesh(vertices, faces, process=False)
-    centres = [solid.convex_hull.center_mass, *([solid.center_mass] if solid.is_watertight else [])]
-    if not all(inside_convex(carried, np.asarray(centre)[:2]) for centre in centres):
-        return None
-    return Standing(lowest, float(vertices[:, 2].max()) - lowest, footprint)
+    yield np.asarray(solid.convex_hull.center_mass)
+    if solid.is_watertight:
+        yield np.asarray(solid.center_mass)

@@ -3,16 +3,25 @@
 import numpy as np
 
 from multilight.scenes.assets.builtin.furnishings import CURTAIN_HEIGHT
-from multilight.scenes.assets.builtin.joinery import LINING as _LINING
-from multilight.scenes.assets.builtin.joinery import SILL
+from multilight.scenes.assets.builtin.joinery import LINING, SILL
 from multilight.scenes.kinds.rooms.finish import furniture_materials
-from multilight.scenes.kinds.rooms.plan import HUNG, Placed, Plan, pose_at
+from multilight.scenes.kinds.rooms.plan import HUNG, PlacedPiece, Plan
 from multilight.scenes.kinds.rooms.shell import Wall
+from multilight.scenes.poses import pose_at
 
 TABLES = ("table", "round", "rectangular", "trestle", "bistro")
 """Categories of tables to dine at."""
-WALKWAY = 0.6
-"""Free floor [m] before furniture with doors and drawers."""
+# Measures of homes [m], and how often they have what [probability].
+WALKWAY = 0.6  # free floor before furniture with doors and drawers
+PENDANT, UNDER_LAMP = (0.7, 0.7), 2.0  # its width and depth at most; the height that one walks under
+EYE_LEVEL, SHELF_LEVEL = (1.35, 1.7), (1.25, 1.75)  # centres of pictures and the like; wall shelves
+MIRROR, CLOCK = 0.35, 0.2  # one on a wall
+SIT_APART = (1.9, 2.8)  # from a screen or a fire to a sofa, from which one watches it
+AT_TABLE = (0.35, 0.5)  # from a sofa to the coffee table: knees fit, arms reach
+BEHIND_SOFA = 0.75  # in which one can walk; where there is less, the sofa stands at the wall
+ARMCHAIR_ASIDE = (1.15, 1.3, 1.5)  # from the coffee table's centre, by try
+FIRE, TV, WALL_TV = 0.2, 0.55, 0.7  # a fireplace instead of a screen; a screen on a board; one on the wall if not
+NO_RUG = 0.15  # under a coffee table
 
 
 def place_openings(rng: np.random.Generator, plan: Plan) -> None:
@@ -22,7 +31,7 @@ def place_openings(rng: np.random.Generator, plan: Plan) -> None:
         if piece is None:
             continue
         out = float(piece.low[1]) + opening.proud
-        z = 0.0 if opening.is_door else opening.bottom + _LINING / 2 - SILL
+        z = 0.0 if opening.is_door else opening.bottom + LINING / 2 - SILL
         pose = pose_at(opening.wall.point(opening.along, out), z, opening.wall.angle)
         materials = tuple(
             plan.palette.joinery if part.material.name in ("joinery", "leaf") else part.material
@@ -31,9 +40,9 @@ def place_openings(rng: np.random.Generator, plan: Plan) -> None:
         plan.put(piece, pose, materials, role="surrounding")
 
 
-def curtains(rng: np.random.Generator, plan: Plan, *, share: float) -> None:
+def curtains(rng: np.random.Generator, plan: Plan, *, probability: float) -> None:
     """Hang curtains before windows where there is room; all alike, or none."""
-    if rng.random() >= share or plan.shell.height < CURTAIN_HEIGHT + 0.02:
+    if rng.random() >= probability or plan.shell.height < CURTAIN_HEIGHT + 0.02:
         return
     chosen = int(rng.integers(2))
     for opening in plan.shell.openings:
@@ -52,20 +61,19 @@ def curtains(rng: np.random.Generator, plan: Plan, *, share: float) -> None:
 
 
 def ceiling_light(rng: np.random.Generator, plan: Plan) -> None:
-    """Hang a lamp in the middle of the ceiling: a pendant where it hangs high enough or over a table."""
+    """Hang a lamp at the centre of the ceiling: a pendant where it hangs high enough or over a table."""
     if any(placed.piece.info.category == "pendant" for placed in plan.placed.values()):
         return
-    tall = plan.shell.height - 2.0
-    piece = plan.choose(rng, "pendant", largest=(0.7, 0.7, tall)) if rng.random() < 0.5 else None
+    tall = plan.shell.height - UNDER_LAMP
+    piece = plan.choose(rng, "pendant", largest=(*PENDANT, tall)) if rng.random() < 0.5 else None
     piece = piece or plan.choose(rng, "ceilinglamp", "ceiling_lamp")
     if piece is not None:
-        place = rng.uniform(-0.3, 0.3, 2)
-        plan.add(rng, piece, pose_at(place, plan.shell.height - HUNG - float(piece.size[2]), 0.0), lit=True)
+        plan.hang(rng, piece, rng.uniform(-0.3, 0.3, 2))
 
 
-def along_walls(rng: np.random.Generator, plan: Plan, *categories: str, share: float) -> Placed | None:
-    """Stand one piece with its back to some wall, with a free way before it, in a share of the rooms."""
-    if rng.random() >= share:
+def along_walls(rng: np.random.Generator, plan: Plan, *categories: str, probability: float) -> PlacedPiece | None:
+    """Stand one piece with its back to some wall, a free walkway before it, in some of the rooms."""
+    if rng.random() >= probability:
         return None
     for _ in range(3):
         piece = plan.choose(rng, *categories, largest=(2.6, 0.8, plan.shell.height - 0.1))
@@ -74,12 +82,12 @@ def along_walls(rng: np.random.Generator, plan: Plan, *categories: str, share: f
         for wall in plan.walls_by_room(rng):
             done = plan.against_wall(rng, piece, wall)
             if done is not None:
-                keep_way(plan, done, wall)
+                keep_walkway(plan, done, wall)
                 return done
     return None
 
 
-def keep_way(plan: Plan, placed: Placed, wall: Wall) -> None:
+def keep_walkway(plan: Plan, placed: PlacedPiece, wall: Wall) -> None:
     """Keep a walkway free before a piece at a wall."""
     step = np.append(wall.inward * WALKWAY, 0.0)
     low, high = np.minimum(placed.low, placed.low + step), np.maximum(placed.high, placed.high + step)
@@ -92,7 +100,7 @@ def keep_way(plan: Plan, placed: Placed, wall: Wall) -> None:
 
 
 def in_corners(rng: np.random.Generator, plan: Plan, *categories: str, count: int) -> None:
-    """Stand pieces near corners, their front towards the middle of the room."""
+    """Stand pieces near corners, their front towards the centre of the room."""
     for _ in range(count):
         piece = plan.choose(rng, *categories, largest=(1.1, 1.1, plan.shell.height - 0.3))
         if piece is None:
@@ -104,14 +112,14 @@ def in_corners(rng: np.random.Generator, plan: Plan, *categories: str, count: in
             place = np.where(rng.random(2) < 0.5, place, np.sign(place) * half)
             angle = float(np.arctan2(-place[0], place[1])) + rng.normal(0.0, 0.2)
             lit = "lamp" in piece.info.category
-            if plan.add(rng, piece, pose_at(place, 0.0002, angle), lit=lit) is not None:
+            if plan.stand(rng, piece, place, angle, lit=lit) is not None:
                 break
 
 
 def on_walls(rng: np.random.Generator, plan: Plan, *, shelves: int, pictures: int) -> None:
     """Hang shelves, pictures, sometimes a mirror or a clock, at eye level or above what stands there."""
     wanted = ["shelf"] * shelves + ["picture"] * pictures
-    wanted += ["mirror"] * int(rng.random() < 0.35) + ["wall_clock"] * int(rng.random() < 0.2)
+    wanted += ["mirror"] * int(rng.random() < MIRROR) + ["wall_clock"] * int(rng.random() < CLOCK)
     for category in wanted:
         deep = 0.05 if category in ("mirror", "picture") else 0.3
         piece = plan.choose(rng, category, largest=(1.5, deep, 1.5))
@@ -120,8 +128,8 @@ def on_walls(rng: np.random.Generator, plan: Plan, *, shelves: int, pictures: in
         for _ in range(10):
             wall = plan.shell.walls[int(rng.integers(4))]
             tall = float(piece.size[2])
-            middle = float(rng.uniform(1.35, 1.7)) if category != "shelf" else float(rng.uniform(1.25, 1.75))
-            z = float(np.clip(middle - tall / 2, 0.5, plan.shell.height - tall - 0.15))
+            centre = float(rng.uniform(*(SHELF_LEVEL if category == "shelf" else EYE_LEVEL)))
+            z = float(np.clip(centre - tall / 2, 0.5, plan.shell.height - tall - 0.15))
             if plan.against_wall(rng, piece, wall, z=z, tries=2) is not None:
                 break
 
@@ -138,62 +146,67 @@ def seating(rng: np.random.Generator, plan: Plan) -> None:
 
 def _seated(rng: np.random.Generator, plan: Plan, wall: Wall, *, along: float) -> bool:
     """Try to set up the seating group before a wall; tell whether there is a sofa or, without any, a table."""
-    across = plan.shell.depth if abs(wall.inward[1]) > 0.5 else plan.shell.width
     media = _media(rng, plan, wall, along)
-    depth = 0.0 if media is None else float(media.piece.size[1])
     sofa = plan.choose(rng, "sofa", largest=(min(2.4, wall.length - 1.2), 1.2, 1.3))
     table = plan.choose(rng, "coffee_table", "coffee", largest=(1.4, 0.9, 0.6))
-    gap = float(rng.uniform(0.35, 0.5))
+    gap = float(rng.uniform(*AT_TABLE))
     long = 0.0 if table is None else float(table.size[1])
     deep = 0.9 if sofa is None else float(sofa.size[1])
-    out = depth + float(rng.uniform(1.9, 2.8)) + deep / 2
-    # What would leave no way behind the sofa goes to the wall.
-    out = min(out, across - 0.75 - deep / 2) if across - 0.75 - deep > depth + 1.7 else across - 0.04 - deep / 2
-    middle = out - deep / 2 - gap - long / 2
-    placed = None
+    out = _sofa_out(rng, plan, wall, media, deep)
+    centre = out - deep / 2 - gap - long / 2
     if sofa is not None:
-        placed = plan.add(rng, sofa, pose_at(wall.point(along, out), 0.0002, wall.angle + np.pi), role="support")
-        if placed is None:
+        angle = wall.angle + np.pi
+        if plan.stand(rng, sofa, wall.point(along, out), angle, role="support") is None:
             return False
-    carpet = _rug(rng, plan, wall, along, middle, table_size=(1.3, long), room=2 * gap + long - 0.1)
+    carpet = _rug(rng, plan, wall, along, centre, table_size=(1.3, long), room=2 * gap + long - 0.1)
     if table is not None:
-        base = 0.0 if carpet is None else carpet.high[2]
+        base = 0.0 if carpet is None else float(carpet.high[2])
         names = () if carpet is None else (carpet.name,)
-        turn = wall.angle + np.pi * int(rng.integers(2))
-        pose = pose_at(wall.point(along, middle), base + 0.0002, turn)
-        if plan.add(rng, table, pose, role="support", apart_from=names) is None:
+        angle = wall.angle + np.pi * int(rng.integers(2))
+        place = wall.point(along, centre)
+        if plan.stand(rng, table, place, angle, base=base, role="support", apart_from=names) is None:
             return False
     for side in rng.permutation([-1.0, 1.0])[: int(rng.integers(1, 3))]:
-        _armchair(rng, plan, wall, along, middle, side=float(side))
+        _armchair(rng, plan, wall, along, centre, side=float(side))
     _beside_sofa(rng, plan, wall, along, out, sofa_wide=2.0 if sofa is None else float(sofa.size[0]))
     return True
 
 
-def _armchair(rng: np.random.Generator, plan: Plan, wall: Wall, along: float, middle: float, *, side: float) -> None:
-    """Stand an armchair beside the coffee table, turned towards it."""
+def _sofa_out(rng: np.random.Generator, plan: Plan, wall: Wall, media: PlacedPiece | None, deep: float) -> float:
+    """Draw how far from a wall [m] a sofa's centre stands that looks at it and is so `deep` [m]."""
+    across = plan.shell.depth if abs(wall.inward[1]) > 0.5 else plan.shell.width
+    depth = 0.0 if media is None else float(media.piece.size[1])
+    out = depth + float(rng.uniform(*SIT_APART)) + deep / 2
+    if across - BEHIND_SOFA - deep > depth + 1.7:
+        return min(out, across - BEHIND_SOFA - deep / 2)
+    return across - 0.04 - deep / 2
+
+
+def _armchair(rng: np.random.Generator, plan: Plan, wall: Wall, along: float, out: float, *, side: float) -> None:
+    """Stand an armchair beside the coffee table, its front towards it."""
     chair = plan.choose(rng, "armchair", largest=(1.1, 1.1, 1.2))
     if chair is None:
         return
-    for reach in (1.15, 1.3, 1.5):
-        place = wall.point(along + side * (reach + float(chair.size[1]) / 2), middle + float(rng.normal(0, 0.1)))
+    for reach in ARMCHAIR_ASIDE:
+        place = wall.point(along + side * (reach + float(chair.size[1]) / 2), out + float(rng.normal(0, 0.1)))
         angle = wall.angle + side * (0.25 - np.pi / 2) + float(rng.normal(0.0, 0.2))
-        if plan.add(rng, chair, pose_at(place, 0.0002, angle), role="support") is not None:
+        if plan.stand(rng, chair, place, angle, role="support") is not None:
             return
 
 
-def _media(rng: np.random.Generator, plan: Plan, wall: Wall, along: float) -> Placed | None:
+def _media(rng: np.random.Generator, plan: Plan, wall: Wall, along: float) -> PlacedPiece | None:
     """Stand a fireplace, or a low board for a television, at a wall."""
-    fire = plan.choose(rng, "fireplace") if rng.random() < 0.2 else None
+    fire = plan.choose(rng, "fireplace") if rng.random() < FIRE else None
     if fire is not None:
         return plan.against_wall(rng, fire, wall, along=along, lit=True)
     board = plan.choose(rng, "sideboard", "bench", "chest", largest=(1.9, 0.6, 0.95))
     stand = None if board is None else plan.against_wall(rng, board, wall, along=along, role="support")
     screen = plan.choose(rng, "wall_tv")
-    if stand is not None and rng.random() < 0.55:
+    if stand is not None and rng.random() < TV:
         set_ = plan.choose(rng, "tv", largest=(float(stand.piece.size[0]), float(stand.piece.size[1]) + 0.1, 0.8))
         if set_ is not None and plan.on_top(rng, set_, stand, angle=wall.angle, lit=True) is not None:
             return stand
-    if screen is not None and rng.random() < 0.7:
+    if screen is not None and rng.random() < WALL_TV:
         base = 0.9 if stand is None else max(0.95, float(stand.high[2]) + 0.25)
         plan.against_wall(rng, screen, wall, along=along, z=base, lit=True)
     return stand
@@ -208,11 +221,11 @@ def _rug(
     *,
     table_size: tuple[float, float],
     room: float,
-) -> Placed | None:
+) -> PlacedPiece | None:
     """Lay a rug that a table stands on wholly, and that leaves the sofa's feet on the floor."""
     for _ in range(4):
         piece = plan.choose(rng, "rug", largest=(2.8, room + 0.55, 0.1))
-        if piece is None or rng.random() < 0.15:
+        if piece is None or rng.random() < NO_RUG:
             return None
         if piece.size[0] > table_size[0] and piece.size[1] > table_size[1] + 0.04:
             shift = max(0.0, float(piece.size[1]) - room) / 2
@@ -230,18 +243,18 @@ def _beside_sofa(
     lamp = plan.choose(rng, "floorlamp", "floor_lamp") if rng.random() < 0.5 else None
     if lamp is not None:
         place = wall.point(along + side * (sofa_wide / 2 + 0.08 + float(lamp.size[0]) / 2), out + 0.1)
-        plan.add(rng, lamp, pose_at(place, 0.0002, wall.angle), lit=True)
+        plan.stand(rng, lamp, place, wall.angle, lit=True)
         side = -side
     small = plan.choose(rng, "nightstand", "table", "coffee_table", "bistro", largest=(0.62, 0.62, 0.75))
     if small is not None:
         place = wall.point(along + side * (sofa_wide / 2 + 0.06 + float(small.size[0]) / 2), out + 0.05)
-        stand = plan.add(rng, small, pose_at(place, 0.0002, wall.angle + np.pi), role="support")
+        stand = plan.stand(rng, small, place, wall.angle + np.pi, role="support")
         if stand is not None:
             lamp_on(rng, plan, stand)
 
 
-def lamp_on(rng: np.random.Generator, plan: Plan, stand: Placed) -> Placed | None:
-    """Stand a lamp on the middle of a small piece of furniture with a flat top."""
+def lamp_on(rng: np.random.Generator, plan: Plan, stand: PlacedPiece) -> PlacedPiece | None:
+    """Stand a lamp on the centre of a small piece of furniture with a flat top."""
     wide = float(min(stand.piece.size[:2]))
     lamp = plan.choose(rng, "tablelamp", "big_table_lamp", largest=(wide + 0.05, wide + 0.05, 0.75))
     return None if lamp is None else plan.on_top(rng, lamp, stand, angle=0.0, lit=True)

@@ -5,30 +5,33 @@ boxes waste little, and bodies whose boxes are apart cannot touch. Where boxes m
 the convex hull of the one is held against the triangles of the other.
 """
 
-import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from trimesh import Trimesh
 from trimesh.collision import CollisionManager
 
 from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.info import AssetInfo, AssetRole
 from multilight.scenes.assets.library import AssetError, AssetLibrary
-from multilight.scenes.cameras.pinhole import matrix4
-from multilight.scenes.geometry.support_surfaces import convex_polygon, stacked_faces
+from multilight.scenes.geometry.support_surfaces import as_trimesh, convex_polygon
 from multilight.scenes.kinds.rooms.finish import Palette, furniture_materials
-from multilight.scenes.kinds.rooms.footing import hangs, shelves_of, standing_of
+from multilight.scenes.kinds.rooms.footing import footing_of, hangs, shelves_of
 from multilight.scenes.kinds.rooms.shell import DOOR_ZONE, SKIRTING, Shell, Wall
-from multilight.scenes.kinds.rooms.shelves import Shelf
 from multilight.scenes.meshes import Mesh
-from multilight.scenes.spec import Body, Material, MeshAsset, Role
+from multilight.scenes.names import free_name
+from multilight.scenes.poses import apply_pose, pose_at
+from multilight.scenes.spec import Body, Material, Role
+from multilight.scenes.still_life.setting import make_body
 
 GAP = 0.006
 """Smallest distance [m] between the boxes of two bodies."""
+GROWN = (1.02, 1.02, 1.005)
+"""Factors by which a convex hull is grown before it is held against another body: a hair's breadth more in height."""
 BACK = 0.02
 """Distance [m] of furniture to the wall: room for the skirting board."""
+LIFT = 0.0002
+"""Air [m] below what stands, so that no two surfaces coincide."""
 HUNG = 0.0004
 """Distance [m] of what hangs on a wall or from the ceiling: touching, but not in it."""
 
@@ -54,7 +57,7 @@ class Piece:
 
 
 @dataclass(frozen=True)
-class Placed:
+class PlacedPiece:
     """A piece where it stands: its body's name, pose (4, 4), and box (lowest and highest corner, (3,) each) [m]."""
 
     name: str
@@ -64,19 +67,11 @@ class Placed:
     high: Float64
 
 
-def pose_at(place: Sequence[float] | Float64, z: float, angle: float) -> Float64:
-    """Return the pose (4, 4) of a body at (x, y) and height `z` [m], turned by `angle` [rad]."""
-    pose = np.eye(4)
-    pose[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-    pose[:3, 3] = [float(place[0]), float(place[1]), z]
-    return pose
-
-
 def _holds(piece: Piece) -> bool:
     """Tell whether a piece stands, or hangs where its kind hangs."""
     if piece.info.category in UNDER_CEILINGS:
         return True
-    return hangs(piece.mesh) if piece.info.category in ON_WALLS else standing_of(piece.mesh) is not None
+    return hangs(piece.mesh) if piece.info.category in ON_WALLS else footing_of(piece.mesh) is not None
 
 
 class Plan:
@@ -85,7 +80,7 @@ class Plan:
     def __init__(self, library: AssetLibrary, shell: Shell, palette: Palette, bodies: list[Body]) -> None:
         self.library, self.shell, self.palette = library, shell, palette
         self.bodies = bodies
-        self.placed: dict[str, Placed] = {}
+        self.placed: dict[str, PlacedPiece] = {}
         self._names: list[str] = []
         self._low, self._high = np.empty((0, 3)), np.empty((0, 3))
         self._zones: list[tuple[Float64, Float64]] = []
@@ -154,7 +149,7 @@ class Plan:
 
     def box(self, piece: Piece, pose: Float64) -> tuple[Float64, Float64]:
         """Return the box of a piece in a pose."""
-        points = piece.mesh.vertices() @ pose[:3, :3].T + pose[:3, 3]
+        points = apply_pose(pose, piece.mesh.vertices())
         return points.min(axis=0), points.max(axis=0)
 
     def is_free(
@@ -186,31 +181,49 @@ class Plan:
         apart_from: Sequence[str] = (),
         lit: bool = False,
         zones: bool = True,
-    ) -> Placed | None:
-        """Put a piece where it is free, with the palette's materials; None where something is in the way."""
+    ) -> PlacedPiece | None:
+        """Put a piece where it is free, with the palette's materials; None where something is there already."""
         low, high = self.box(piece, pose)
         if not self.is_free(low, high, apart_from=apart_from, zones=zones):
             return None
         materials = furniture_materials(rng, self.palette, piece.info, piece.mesh, lit=lit)
         return self.put(piece, pose, materials, role=role)
 
-    def put(self, piece: Piece, pose: Float64, materials: tuple[Material, ...], *, role: Role) -> Placed:
+    def stand(
+        self,
+        rng: np.random.Generator,
+        piece: Piece,
+        place: Float64,
+        angle: float,
+        *,
+        base: float = 0.0,
+        role: Role = "surrounding",
+        apart_from: Sequence[str] = (),
+        lit: bool = False,
+    ) -> PlacedPiece | None:
+        """Stand a piece at (x, y), `base` [m] above the floor, its yaw `angle` [rad]; None where it is not free."""
+        return self.add(rng, piece, pose_at(place, base + LIFT, angle), role=role, apart_from=apart_from, lit=lit)
+
+    def hang(self, rng: np.random.Generator, piece: Piece, place: Float64) -> None:
+        """Hang a lamp that is lit under the ceiling, at (x, y), where that is free."""
+        self.add(rng, piece, pose_at(place, self.shell.height - HUNG - float(piece.size[2]), 0.0), lit=True)
+
+    def tuck(self, rng: np.random.Generator, chair: Piece, table: PlacedPiece, poses: Iterable[Float64]) -> None:
+        """Stand a chair at a table: in the first of some poses in which it is clear of the table and of all else."""
+        for pose in poses:
+            free = self.is_free(*self.box(chair, pose), apart_from=(table.name,))
+            if free and self.clear_of(chair, pose, table):
+                self.add(rng, chair, pose, apart_from=(table.name,))
+                return
+
+    def put(self, piece: Piece, pose: Float64, materials: tuple[Material, ...], *, role: Role) -> PlacedPiece:
         """Add a body without asking."""
         low, high = self.box(piece, pose)
-        name = self._name(piece.info.category)
-        self.bodies.append(
-            Body(
-                name=name,
-                role=role,
-                category=piece.info.category,
-                geometry=MeshAsset(asset=piece.info.id, mesh_sha256=piece.mesh.sha256(), parts=len(piece.mesh.parts)),
-                materials=materials,
-                world_from_body=matrix4(pose),
-            )
-        )
+        name = free_name(piece.info.category, {body.name for body in self.bodies}, otherwise="object")
+        self.bodies.append(make_body(name, role, piece.info, piece.mesh, materials, pose))
         self._names.append(name)
         self._low, self._high = np.vstack([self._low, low]), np.vstack([self._high, high])
-        self.placed[name] = Placed(name, piece, pose, low, high)
+        self.placed[name] = PlacedPiece(name, piece, pose, low, high)
         return self.placed[name]
 
     def against_wall(
@@ -224,7 +237,7 @@ class Plan:
         role: Role = "surrounding",
         lit: bool = False,
         tries: int = 14,
-    ) -> Placed | None:
+    ) -> PlacedPiece | None:
         """Stand a piece with its back to a wall, `along` it or wherever there is room; hang it where z is not 0."""
         out = piece.size[1] / 2 + (HUNG if z > 0 else BACK)
         slack = wall.length / 2 - piece.size[0] / 2 - 0.01
@@ -237,31 +250,26 @@ class Plan:
                 return done
         return None
 
-    def clear_of(self, piece: Piece, pose: Float64, other: Placed) -> bool:
+    def clear_of(self, piece: Piece, pose: Float64, other: PlacedPiece) -> bool:
         """Tell whether the convex hull of a piece, grown a little, keeps off the triangles of another body."""
         probe = self._probes.get(piece.info.id)
         if probe is None:
-            hull = Trimesh(piece.mesh.vertices(), stacked_faces(piece.mesh), process=False).convex_hull
-            hull.apply_transform(np.diag([1.02, 1.02, 1.005, 1.0]))
+            hull = as_trimesh(piece.mesh).convex_hull
+            hull.apply_transform(np.diag([*GROWN, 1.0]))
             probe = self._probes[piece.info.id] = CollisionManager()
             probe.add_object("piece", hull)
         solid = self._solids.get(other.name)
         if solid is None:
-            mesh = other.piece.mesh
             solid = self._solids[other.name] = CollisionManager()
-            solid.add_object("body", Trimesh(mesh.vertices(), stacked_faces(mesh), process=False), other.pose)
+            solid.add_object("body", as_trimesh(other.piece.mesh), other.pose)
         probe.set_transform("piece", pose)
         return not probe.in_collision_other(solid)
 
-    def shelves(self, placed: Placed) -> list[Shelf]:
-        """Return where things can stand on a body."""
-        return shelves_of(placed.piece.mesh)
-
     def on_top(
-        self, rng: np.random.Generator, piece: Piece, stand: Placed, *, angle: float, lit: bool = False
-    ) -> Placed | None:
+        self, rng: np.random.Generator, piece: Piece, stand: PlacedPiece, *, angle: float, lit: bool = False
+    ) -> PlacedPiece | None:
         """Stand a piece on the highest surface of another, where its foot has most room; None where it has none."""
-        shelves = self.shelves(stand)
+        shelves = shelves_of(stand.piece.mesh)
         vertices = piece.mesh.vertices()
         foot = convex_polygon(vertices[vertices[:, 2] <= vertices[:, 2].min() + 0.01, :2].astype(np.float64))
         if not shelves or foot is None:
@@ -269,22 +277,12 @@ class Plan:
         surface = shelves[-1].surface
         local = angle - float(np.arctan2(stand.pose[1, 0], stand.pose[0, 0]))
         centre = surface.centres[int(np.argmax(surface.clearance[surface.free]))]
-        turned = pose_at(centre, surface.height + 0.0003, local)
-        if not surface.supports(foot @ turned[:2, :2].T + centre, 0.004):
+        upon = pose_at(centre, surface.height + 0.0003, local)
+        if not surface.supports(foot @ upon[:2, :2].T + centre, 0.004):
             return None
-        return self.add(rng, piece, stand.pose @ turned, apart_from=(stand.name,), lit=lit)
+        return self.add(rng, piece, stand.pose @ upon, apart_from=(stand.name,), lit=lit)
 
     def walls_by_room(self, rng: np.random.Generator) -> list[Wall]:
         """Return the walls, those without openings first, otherwise in a random order."""
         order = [self.shell.walls[int(i)] for i in rng.permutation(4)]
         return sorted(order, key=lambda wall: not self.shell.free(wall))
-
-    def _name(self, category: str) -> str:
-        """Name a body after its category: `mug`, `mug_2`."""
-        taken = {body.name for body in self.bodies}
-        plain = re.sub(r"[^a-z0-9]+", "_", category.lower()).strip("_")[:30]
-        plain = plain if plain[:1].isalpha() else f"object_{plain}".rstrip("_")
-        name, number = plain, 2
-        while name in taken:
-            name, number = f"{plain}_{number}", number + 1
-        return name

@@ -1,6 +1,6 @@
 """The shell of a room: floor, ceiling, walls with openings, skirting, windows and doors.
 
-The room's frame: origin on the floor in the middle, +Z up, metres; it reaches from -width/2 to width/2 in x and
+The room's frame: origin on the floor at its centre, +Z up, metres; it reaches from -width/2 to width/2 in x and
 from -depth/2 to depth/2 in y. Walls, floor and ceiling overshoot each other, so that no light leaks in at edges.
 """
 
@@ -14,17 +14,21 @@ from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.kinds.rooms.finish import Palette
 from multilight.scenes.materials import painted_wall, pick_texture, sample_material, textured
-from multilight.scenes.spec import Body, Material, Rectangle
-from multilight.scenes.still_life.surroundings import upright
+from multilight.scenes.spec import Body, Material
+from multilight.scenes.still_life.planes import Pair, downward_pose, level_pose, plane, skirting, upright_pose
+from multilight.scenes.streams import pick
 
 OVERSHOOT = 0.3
 """How far [m] walls, floor and ceiling run on behind each other."""
-HEADS = (2.12, 2.28)
-"""Height [m] of the top of window openings."""
 DOOR_ZONE = 0.95
 """What is kept free before a door [m]."""
 SKIRTING = (0.12, 0.017)
 """Greatest height and thickness [m] of skirting boards, the latter with a hair's breadth to spare."""
+# Measures of buildings [m], and how often they have what [probability].
+HEIGHTS, HEADS = (2.5, 3.0), (2.12, 2.28)  # of rooms, new and old; of the tops of windows
+TWO_SIDED, PAIRED, CORNER_DOOR = 0.4, 0.6, 0.75  # windows in a second wall; two in one wall; a door next to a corner
+BETWEEN = (0.25, 0.5)  # two windows, as a fraction of what they leave of the wall
+ACCENT = 0.5  # one wall differs
 _FLOORS = ("wood", "wood", "wood", "tiles", "stone", "concrete", "fabric")
 _KITCHEN_FLOORS = ("tiles", "tiles", "stone", "wood", "concrete")
 _FINISH = {"fabric": "fabric", "concrete": "rough stone", "stone": "stone", "tiles": "stone"}
@@ -32,7 +36,7 @@ _FINISH = {"fabric": "fabric", "concrete": "rough stone", "stone": "stone", "til
 
 @dataclass(frozen=True)
 class Wall:
-    """One wall: its middle on the floor (2,) [m], the unit vector into the room (2,), and its length [m]."""
+    """One wall: its midpoint on the floor (2,) [m], the unit vector into the room (2,), and its length [m]."""
 
     name: str
     centre: Float64
@@ -41,22 +45,31 @@ class Wall:
 
     @property
     def right(self) -> Float64:
-        """The way along the wall that is to the right as seen from inside, (2,)."""
+        """The direction along the wall that is to the right as seen from inside, (2,)."""
         return np.array([-self.inward[1], self.inward[0]])
 
     @property
     def angle(self) -> float:
-        """The yaw [rad] that turns the back (+Y) of an asset to the wall."""
+        """The yaw [rad] of an asset with its back (+Y) to the wall."""
         return float(np.arctan2(self.inward[0], -self.inward[1]))
 
     def point(self, along: float, out: float) -> Float64:
-        """Return the place (2,) `along` the wall from its middle and `out` into the room [m]."""
+        """Return the place (2,) `along` the wall from its midpoint and `out` into the room [m]."""
         return self.centre + along * self.right + out * self.inward
+
+    def along(self, place: Float64) -> float:
+        """Return how far along the wall a place (x, y) lies from its midpoint [m]."""
+        return float((place - self.centre) @ self.right)
+
+    @property
+    def facing(self) -> Pair:
+        """The unit vector into the room as a pair."""
+        return float(self.inward[0]), float(self.inward[1])
 
 
 @dataclass(frozen=True)
 class Opening:
-    """A window or door in a wall: the hole's middle along the wall, its width and heights [m], and what fills it."""
+    """A window or door in a wall: the hole's midpoint along the wall, its width and heights [m], and what fills it."""
 
     wall: Wall
     along: float
@@ -102,23 +115,24 @@ def sample_shell(
         Wall("north", np.array([0.0, depth / 2]), np.array([0.0, -1.0]), width),
         Wall("west", np.array([-width / 2, 0.0]), np.array([1.0, 0.0]), depth),
     )
-    shell = Shell(width, depth, float(rng.uniform(2.5, 3.0)), walls)
+    shell = Shell(width, depth, float(rng.uniform(*HEIGHTS)), walls)
     order = [walls[int(i)] for i in rng.permutation(4)]
     _windows(rng, library, shell, order[0])
-    if rng.random() < 0.4:
+    if rng.random() < TWO_SIDED:
         _windows(rng, library, shell, order[1])
     doors = [info for info in library.list("surrounding") if info.category == "door"]
-    info = doors[int(rng.integers(len(doors)))]
+    info = pick(rng, doors)
     width = _size(info)[0] - 2 * CASING + LINING
     slack = order[2].length / 2 - width / 2 - CASING - 0.06
-    along = float(rng.choice([-1.0, 1.0])) * slack * (1.0 if rng.random() < 0.75 else float(rng.uniform(0.0, 1.0)))
+    side = float(rng.choice([-1.0, 1.0]))
+    along = side * slack * (1.0 if rng.random() < CORNER_DOOR else float(rng.uniform(0.0, 1.0)))
     top = _size(info)[2] - CASING + LINING / 2
     shell.openings.append(Opening(order[2], along, width, 0.0, top, info, DOOR_PROUD))
     return shell
 
 
 def _size(info: AssetInfo) -> tuple[float, float, float]:
-    """Return an asset's extent [m]."""
+    """Return an asset's size [m]."""
     assert info.size is not None
     return info.size
 
@@ -128,13 +142,13 @@ def _windows(rng: np.random.Generator, library: AssetLibrary, shell: Shell, wall
     fitting = [
         info for info in library.list("surrounding") if info.category == "window" and _size(info)[0] < wall.length - 0.5
     ]
-    info = fitting[int(rng.integers(len(fitting)))]
+    info = pick(rng, fitting)
     outer, _, tall = _size(info)
     top = float(rng.uniform(*HEADS))
     bottom = top - (tall - SILL - CASING) - LINING
     width = outer - 2 * EAR + LINING
-    if 2 * outer + 1.0 < wall.length and rng.random() < 0.6:
-        gap = float(rng.uniform(0.25, 0.5)) * (wall.length - 2 * outer)
+    if 2 * outer + 1.0 < wall.length and rng.random() < PAIRED:
+        gap = float(rng.uniform(*BETWEEN)) * (wall.length - 2 * outer)
         places = [-(outer + gap) / 2, (outer + gap) / 2]
     else:
         slack = (wall.length - outer) / 2 - 0.15
@@ -149,19 +163,15 @@ def shell_bodies(
     """Build floor, ceiling, walls and skirting; windows and doors are placed as pieces."""
     x, y, over = shell.width, shell.depth, 2 * OVERSHOOT
     size = (x + over, y + over)
-    turned = np.eye(4)
-    if rng.random() < 0.5:
-        turned[:2, :2] = [[0.0, -1.0], [1.0, 0.0]]
-        size = size[::-1]
-    ceiling = np.diag([1.0, -1.0, -1.0, 1.0])
-    ceiling[2, 3] = shell.height
+    flat = level_pose(rng)
     white = sample_material(rng, "wall", colour=(0.8, 0.8, 0.78), name="ceiling_paint")
-    bodies = [_plane("floor", size, _floor(rng, library, kind), turned)]
-    bodies.append(_plane("ceiling", (x + over, y + over), white, ceiling))
+    # Rotated by a quarter, the floor's own x runs along the room's y.
+    bodies = [plane("floor", size if flat[0, 0] else size[::-1], _floor(rng, library, kind), flat)]
+    bodies.append(plane("ceiling", size, white, downward_pose(0.0, 0.0, shell.height)))
     paint = painted_wall(rng)
-    accent = _accent(rng, library) if rng.random() < 0.5 else paint
+    accent = _accent(rng, library) if rng.random() < ACCENT else paint
     plain = [wall for wall in shell.walls if shell.free(wall)]
-    papered = plain[int(rng.integers(len(plain)))] if plain else None
+    papered = pick(rng, plain) if plain else None
     board = (float(rng.uniform(0.5, 1.0)) * SKIRTING[0], float(rng.uniform(0.6, 0.95)) * SKIRTING[1])
     for wall in shell.walls:
         bodies += _wall(shell, wall, accent if wall is papered else paint)
@@ -169,22 +179,10 @@ def shell_bodies(
     return bodies
 
 
-def _plane(name: str, size: tuple[float, ...], material: Material, pose: Float64) -> Body:
-    """Make a rectangular part of the shell."""
-    return Body(
-        name=name,
-        role="surrounding",
-        category=name.split("_")[0],
-        geometry=Rectangle(width=size[0], height=size[1]),
-        materials=(material,),
-        world_from_body=pose.tolist(),
-    )
-
-
 def _floor(rng: np.random.Generator, library: AssetLibrary, kind: str) -> Material:
     """Draw a floor: boards and parquet mostly, tiles in kitchens, carpet sometimes."""
     categories = _KITCHEN_FLOORS if kind == "kitchen" else _FLOORS
-    wanted = categories[int(rng.integers(len(categories)))]
+    wanted = pick(rng, categories)
     info = pick_texture(rng, library, frozenset({wanted}), laid=True)
     if info is None:
         return sample_material(rng, "wood", name="floor")
@@ -214,8 +212,8 @@ def _wall(shell: Shell, wall: Wall, material: Material) -> list[Body]:
     bodies = []
     for number, (left, right, bottom, top) in enumerate(panels):
         place = wall.point((left + right) / 2, 0.0)
-        pose = upright((float(place[0]), float(place[1]), (bottom + top) / 2), (wall.inward[0], wall.inward[1]))
-        bodies.append(_plane(f"wall_{wall.name}_{number}", (right - left, top - bottom), material, pose))
+        pose = upright_pose((float(place[0]), float(place[1]), (bottom + top) / 2), wall.facing)
+        bodies.append(plane(f"wall_{wall.name}_{number}", (right - left, top - bottom), material, pose))
     return bodies
 
 
@@ -231,13 +229,8 @@ def _skirting(shell: Shell, wall: Wall, material: Material, board: tuple[float, 
     here = -wall.length / 2
     for number, (left, right) in enumerate([*sorted(cuts), (wall.length / 2, np.inf)]):
         if left - here > 0.02:
-            middle, length = (here + left) / 2, left - here
-            x, y = (float(v) for v in wall.point(middle, thick))
-            pose = upright((x, y, high / 2), (wall.inward[0], wall.inward[1]))
-            ledge = np.eye(4)
-            ledge[:3, 0], ledge[:3, 1] = pose[:3, 0], -pose[:3, 2]
-            ledge[:3, 3] = [*wall.point(middle, thick / 2), high]
-            bodies.append(_plane(f"skirting_{wall.name}_{number}", (length, high), material, pose))
-            bodies.append(_plane(f"skirting_{wall.name}_{number}_top", (length, thick), material, ledge))
+            x, y = (float(v) for v in wall.point((here + left) / 2, 0.0))
+            size = (left - here, high, thick)
+            bodies += skirting(f"skirting_{wall.name}_{number}", (x, y), wall.facing, size, material)
         here = right
     return bodies

@@ -8,8 +8,8 @@ from trimesh import Trimesh
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from multilight.scenes.arrays import Float64, Mask
-from multilight.scenes.geometry.support_surfaces import SupportSurface, stacked_faces
-from multilight.scenes.meshes import Mesh
+from multilight.scenes.geometry.support_surfaces import SupportSurface, as_trimesh
+from multilight.scenes.meshes import Mesh, triangle_crosses
 
 CELL = 0.015
 FLATNESS = 0.0005
@@ -34,42 +34,35 @@ def find_shelves(mesh: Mesh, *, smallest: float = 0.16) -> list[Shelf]:
     A level's cells are free where a ray from `HEADROOM` above comes down on it; below a top, a ray towards -Y, the
     front, must leave the furniture: what lies behind doors is no shelf.
     """
-    solid = Trimesh(mesh.vertices(), stacked_faces(mesh), process=False)
+    solid = as_trimesh(mesh)
     caster = RayMeshIntersector(solid)
     low, high = mesh.bounds().astype(np.float64)
     count = np.maximum(np.ceil((high - low)[:2] / CELL).astype(int), 1)
     x, y = np.meshgrid(*(low[i] + (np.arange(count[i]) + 0.5) * CELL for i in (0, 1)))
-    part_of_face = np.repeat(np.arange(len(mesh.parts)), [len(part.faces) for part in mesh.parts])
+    part_of_face = mesh.part_of_face()
     shelves = []
     for level in _levels(solid):
         start = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, level + HEADROOM)])
         face = caster.intersects_first(start, np.tile([0.0, 0.0, -1.0], (x.size, 1)))
         flat = (face >= 0) & (np.abs(solid.triangles[face][:, :, 2] - level) <= FLATNESS).all(axis=1)
-        above = _distance_up(caster, solid, start[flat] - [0, 0, HEADROOM - 0.004])
-        covered = np.isfinite(above)
-        if covered.any():
-            ahead = start[flat][covered] - [0, 0, HEADROOM - 0.05]
-            hidden = caster.intersects_first(ahead, np.tile([0.0, -1.0, 0.0], (len(ahead), 1))) >= 0
-            index = np.flatnonzero(flat)[covered]
-            flat[index[hidden]] = False
+        free = np.full(x.size, np.inf)
+        free[flat] = _distance_up(caster, solid, start[flat] - [0, 0, HEADROOM - 0.004])
+        covered = np.flatnonzero(flat & np.isfinite(free))
+        if len(covered):
+            ahead = start[covered] - [0, 0, HEADROOM - 0.05]
+            flat[covered] = caster.intersects_first(ahead, np.tile([0.0, -1.0, 0.0], (len(ahead), 1))) < 0
         region = _largest_region(flat.reshape(x.shape), int(np.ceil(smallest / CELL)))
         if region is None:
             continue
-        cells = np.zeros(x.size, bool)
-        cells[region.ravel()] = True
-        room = np.full(x.size, np.inf)
-        room[np.flatnonzero((face >= 0) & (np.abs(solid.triangles[face][:, :, 2] - level) <= FLATNESS).all(axis=1))] = (
-            above
-        )
+        cells = region.ravel()
         part = int(np.bincount(part_of_face[face[cells]]).argmax())
-        shelves.append(Shelf(SupportSurface(level, low[:2], CELL, region, part), float(room[cells].min())))
+        shelves.append(Shelf(SupportSurface(level, low[:2], CELL, region, part), float(free[cells].min())))
     return shelves
 
 
 def _levels(solid: Trimesh) -> list[float]:
     """Return the heights [m] at which enough faces look up, lowest first, those within a centimetre joined."""
-    a, b, c = np.moveaxis(solid.triangles, 1, 0)
-    cross = np.cross(b - a, c - a)
+    cross = triangle_crosses(solid.triangles)
     area = np.linalg.norm(cross, axis=1) / 2
     level = (np.abs(cross[:, 2]) > 1.96 * area) & (area > 0)
     heights = solid.triangles[level][:, :, 2].max(axis=1)

@@ -10,19 +10,18 @@ from multilight.scenes.cameras.paths import DEFAULT_CAMERAS, CameraSettings, Tra
 from multilight.scenes.cameras.pinhole import SENSOR_MM, camera_from_lens, look_at, pixel_rays
 from multilight.scenes.cameras.trajectory import CLOSER, SEEN, TrajectoryError, focused, in_frame
 from multilight.scenes.geometry.rays import SceneRays
+from multilight.scenes.poses import box_centre
 from multilight.scenes.spec import Camera
 
-HEIGHTS = (0.85, 1.75)
-"""Height of cameras over the floor [m]: a seated child's eye to a tall adult's."""
-CLEARANCE = 0.15
-"""Smallest distance [m] of a camera to the box of any body, and to walls."""
-LOWEST = 0.3
-"""Least height of cameras that have moved in on an object [m]."""
-STANDPOINTS = 320
-WALKS = 60
-BLOCKED = 0.6
-"""A picture is blocked where more than `BLOCKED_SHARE` of it shows things closer than this [m]."""
-BLOCKED_SHARE = 0.12
+# Measures [m], and fractions of a picture.
+HEIGHTS, LOWEST = (0.85, 1.75), 0.3  # of cameras: a seated child's eye to a tall adult's; when moved in on an object
+CLEARANCE = 0.15  # of a camera to the box of any body, and to walls
+NEAREST = 1.0  # of a standpoint to what is inserted
+STANDPOINTS, LEAST_GOOD = 320, 8  # drawn; those that are free and see everything, for a path
+WALKS = 60  # paths that are tried, the last third of them standpoints anywhere
+ARC = (25.0, 110.0)  # degrees, round what is inserted
+TOWARDS_ROOM = (0.75, 0.75, 0.7), 0.36  # a wide view looks at the focus times these, raised: nearer to the midline
+BLOCKED, BLOCKED_FRACTION = 0.6, 0.12  # no more than this of a picture may show things closer than that
 
 
 @dataclass(frozen=True)
@@ -42,9 +41,8 @@ class Room:
 
     @property
     def focus(self) -> Float64:
-        """The middle of what is inserted, (3,)."""
-        points = np.concatenate(list(self.watched.values()))
-        return np.asarray((points.min(axis=0) + points.max(axis=0)) / 2)
+        """The centre of what is inserted, (3,)."""
+        return box_centre(np.concatenate(list(self.watched.values())))
 
     def is_free(self, eyes: Float64) -> Mask:
         """Tell for standpoints (N, 3) whether they keep clear of everything."""
@@ -52,8 +50,8 @@ class Room:
         in_box = (eyes[:, None] > self.low - CLEARANCE) & (eyes[:, None] < self.high + CLEARANCE)
         return np.asarray(inside & ~in_box.all(axis=-1).any(axis=1))
 
-    def shares(self, eyes: Float64) -> Float64:
-        """Return which share of each inserted object (M) is seen from each standpoint (N): (N, M)."""
+    def visible_fractions(self, eyes: Float64) -> Float64:
+        """Return which fraction of each inserted object (M) is seen from each standpoint (N): (N, M)."""
         result = []
         for body, points in self.watched.items():
             origins = np.repeat(eyes, len(points), axis=0)
@@ -82,10 +80,10 @@ def sample_views(
     eyes = eyes[room.is_free(eyes)]
     if not len(eyes):
         raise TrajectoryError("no free standpoint in the room")
-    good = eyes[(room.shares(eyes) >= SEEN).all(axis=1)]
+    good = eyes[(room.visible_fractions(eyes) >= SEEN).all(axis=1)]
     distance = np.linalg.norm(good - room.focus, axis=1)
-    good = good[distance > 1.0][np.argsort(distance[distance > 1.0])]
-    if len(good) < 8:
+    good = good[distance > NEAREST][np.argsort(distance[distance > NEAREST])]
+    if len(good) < LEAST_GOOD:
         raise TrajectoryError(f"only {len(good)} of {len(eyes)} standpoints see every inserted object")
     for attempt in range(WALKS):
         path = _path(rng, room, good, views, kind if attempt < WALKS * 2 // 3 else "random")
@@ -134,9 +132,9 @@ def _walk(rng: np.random.Generator, good: Float64, views: int) -> Float64:
 
 
 def _arc(rng: np.random.Generator, room: Room, good: Float64, views: int) -> Float64:
-    """Draw an arc (views, 3) round what is inserted, through one of the standpoints, 25 to 110 degrees long."""
+    """Draw an arc (views, 3) round what is inserted, through one of the standpoints."""
     through = good[int(rng.integers(len(good)))] - room.focus
-    sweep = np.radians(rng.uniform(25.0, 110.0)) * rng.choice([-1.0, 1.0])
+    sweep = np.radians(rng.uniform(*ARC)) * rng.choice([-1.0, 1.0])
     angle = np.arctan2(through[1], through[0]) + sweep * (np.linspace(0.0, 1.0, views) - rng.random())
     reach = np.hypot(through[0], through[1])
     height = through[2] + 0.08 * np.sin(np.linspace(0.0, np.pi, views) + rng.uniform(0.0, 2 * np.pi))
@@ -163,11 +161,12 @@ def _cameras(
     )
     cameras = []
     for eye, tight, shift in zip(path.eyes, path.tightness, unrest, strict=True):
-        towards = room.focus * [0.75, 0.75, 0.7] + [0.0, 0.0, 0.36]
+        factors, height = TOWARDS_ROOM
+        towards = room.focus * factors + [0.0, 0.0, height]
         aim = (1 - tight) * towards + tight * room.focus + shift * np.linalg.norm(room.focus - eye)
-        way = (aim - eye) / np.linalg.norm(aim - eye)
+        forward = (aim - eye) / np.linalg.norm(aim - eye)
         spread = points - eye
-        cosine = spread @ way / np.linalg.norm(spread, axis=1)
+        cosine = spread @ forward / np.linalg.norm(spread, axis=1)
         angle = min(float(np.arccos(np.clip(cosine, -1.0, 1.0)).max()), 1.3)
         filling = 0.5 * SENSOR_MM * full / np.tan(angle) * min(size) / max(size)
         focal = float(np.exp((1 - tight) * np.log(wide) + tight * np.log(filling)))
@@ -177,7 +176,7 @@ def _cameras(
     return tuple(cameras)
 
 
-def _moved_in(rng: np.random.Generator, room: Room, cameras: tuple[Camera, ...], share: float) -> tuple[Camera, ...]:
+def _moved_in(rng: np.random.Generator, room: Room, cameras: tuple[Camera, ...], fraction: float) -> tuple[Camera, ...]:
     """Let the last cameras of a path move in on one object, where the others still show everything."""
     body = sorted(room.watched)[int(rng.integers(len(room.watched)))]
     points = room.watched[body]
@@ -190,15 +189,15 @@ def _moved_in(rng: np.random.Generator, room: Room, cameras: tuple[Camera, ...],
         near = 0.5 * float(np.linalg.norm(eye[0] - points, axis=1).min())
         return bool(seen and not _blocked(room, camera, within=near))
 
-    moved = move_in(rng, cameras, points, closer_views(rng, len(cameras), share), is_good)
-    return moved if _shows(room, moved, share) else cameras
+    moved = move_in(rng, cameras, points, closer_views(rng, len(cameras), fraction), is_good)
+    return moved if _shows(room, moved, fraction) else cameras
 
 
-def _shows(room: Room, cameras: tuple[Camera, ...], share: float) -> bool:
-    """Tell whether each object is whole and visible in that share of the views, and no picture is blocked."""
-    seen = room.shares(np.array([camera.pose()[:3, 3] for camera in cameras])) >= SEEN
+def _shows(room: Room, cameras: tuple[Camera, ...], fraction: float) -> bool:
+    """Tell whether each object is whole and visible in that fraction of the views, and no picture is blocked."""
+    seen = room.visible_fractions(np.array([camera.pose()[:3, 3] for camera in cameras])) >= SEEN
     framed = np.array([[in_frame(camera, points) for points in room.watched.values()] for camera in cameras])
-    if ((seen & framed).mean(axis=0) < share).any():
+    if ((seen & framed).mean(axis=0) < fraction).any():
         return False
     return not any(_blocked(room, camera) for camera in cameras)
 
@@ -213,4 +212,4 @@ def _blocked(room: Room, camera: Camera, *, within: float = BLOCKED) -> bool:
     )  # fmt: skip
     origins, directions = pixel_rays(small)
     _, distance = room.rays.first_hit(origins.reshape(-1, 3), directions.reshape(-1, 3))
-    return bool((distance < within).mean() > BLOCKED_SHARE)
+    return bool((distance < within).mean() > BLOCKED_FRACTION)

@@ -1,33 +1,47 @@
 """Groups of furniture round what one does: eat, cook, sleep, write, read."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
-from multilight.scenes.kinds.rooms.groups import TABLES, along_walls, keep_way, lamp_on
-from multilight.scenes.kinds.rooms.plan import BACK, HUNG, Piece, Placed, Plan, pose_at
+from multilight.scenes.arrays import Float64
+from multilight.scenes.kinds.rooms.groups import PENDANT, TABLES, along_walls, keep_walkway, lamp_on
+from multilight.scenes.kinds.rooms.plan import BACK, LIFT, Piece, PlacedPiece, Plan
 from multilight.scenes.kinds.rooms.shell import Wall
+from multilight.scenes.poses import pose_at
 
-JOINT = 0.002
-"""Distance [m] between kitchen units."""
-WALL_UNITS = 1.45
-"""Height [m] of the underside of wall units."""
+# Measures of homes [m], and how often they have what [probability].
+JOINT = 0.002  # between kitchen units
+ROWS = (4.2, 3.3, 2.5)  # longest rows of kitchen units that are tried
+WALL_UNITS, HOOD = 1.45, 1.6  # their undersides: worktops are 0.9 m high, and cookers need more air
+LOW = 1.3  # units higher than this have nothing above them
+STOVE, WALL_UNIT = 0.7, 0.75  # a cooker rather than a washing machine; a wall unit over a base unit
+DINING_TABLES = (1.9, 1.9, 1.5, 1.2, 1.0)  # longest sides that are tried, one after the other
+DINING_SPACE = (0.75,) * 20 + (0.45,) * 10  # free floor round a table, by try: room to draw out chairs, then to pass
+SEAT = 0.62  # a table's edge that a diner takes
+NO_HEADS = (0.95, 1.15)  # lengths of tables whose legs are in the way of seats at their ends
+EMPTY_SEAT, DRAWN_OUT = 0.12, 0.06  # a seat without a chair; mean distance by which chairs are drawn out
+TUCKED, TUCKED_AT_DESK = (0.26, 0.12, 0.0, -0.08), (0.2, 0.08, -0.03)  # how far chairs stand under an edge, by try
+SEE_ACROSS = 0.6  # what a pendant leaves free over a table
+BEDSIDE_LAMP, BED_RUG = 0.85, 0.7  # a lamp on a nightstand; a rug at the bed's foot
+CORNERS = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))  # signs of x and y
 
 
 def dining(rng: np.random.Generator, plan: Plan) -> None:
     """Stand a table where chairs fit round it, and hang a pendant over it; smaller tables where larger do not fit."""
-    for longest in (1.9, 1.9, 1.5, 1.2, 1.0):
+    for longest in DINING_TABLES:
         table = plan.choose(rng, *TABLES, largest=(longest, 1.05, 0.82))
         if table is None:
             return
-        for attempt in range(30):
-            margin = 0.75 if attempt < 20 else 0.45
-            placed = _stand_free(rng, plan, table, margin)
+        for space in DINING_SPACE:
+            placed = _stand_free(rng, plan, table, space)
             if placed is not None:
-                _chairs(rng, plan, placed, float(np.arctan2(placed.pose[1, 0], placed.pose[0, 0])))
+                _chairs(rng, plan, placed)
                 _pendant_over(rng, plan, placed)
                 return
 
 
-def _stand_free(rng: np.random.Generator, plan: Plan, table: Piece, margin: float) -> Placed | None:
+def _stand_free(rng: np.random.Generator, plan: Plan, table: Piece, margin: float) -> PlacedPiece | None:
     """Try to stand a table somewhere, `margin` [m] free all round."""
     angle = float(rng.choice([0.0, np.pi / 2]))
     reach = (table.size[:2] if angle == 0.0 else table.size[1::-1]) / 2 + margin
@@ -37,51 +51,51 @@ def _stand_free(rng: np.random.Generator, plan: Plan, table: Piece, margin: floa
     place = rng.uniform(reach - half, half - reach) * 0.9
     if not plan.is_free(np.append(place - reach, 0.05), np.append(place + reach, 1.9), zones=False):
         return None
-    return plan.add(rng, table, pose_at(place, 0.0002, angle), role="support")
+    return plan.stand(rng, table, place, angle, role="support")
 
 
-def _chairs(rng: np.random.Generator, plan: Plan, table: Placed, angle: float) -> None:
+def _chairs(rng: np.random.Generator, plan: Plan, table: PlacedPiece) -> None:
     """Stand chairs of one kind round a table, tucked in as far as they go, some drawn out."""
     chair = plan.choose(rng, "chair", "stool", largest=(0.65, 0.7, 1.2))
     if chair is None:
         return
     width, depth = (float(v) for v in table.piece.size[:2])
-    seats: list[tuple[float, float, float]] = []
-    number = max(1, int(width / 0.62))
-    for side in (-1.0, 1.0):
-        seats += [((i + 0.5) / number * width - width / 2, side * depth / 2, side) for i in range(number)]
-    places = [(np.array([x, y]), np.array([0.0, s]), 0.0 if s > 0 else np.pi) for x, y, s in seats]
-    if width > 1.15 or width < 0.95:
-        ends = [(np.array([s * width / 2, 0.0]), np.array([s, 0.0]), -s * np.pi / 2) for s in (-1.0, 1.0)]
-        places += ends[: int(rng.integers(1, 3))]
-    spin = table.pose[:2, :2]
-    for edge, way, yaw in places:
-        if rng.random() < 0.12:
-            continue
-        drawn = float(rng.exponential(0.06))
-        for tuck in (0.26, 0.12, 0.0, -0.08):
-            out = float(chair.size[1]) / 2 - tuck + drawn
-            spot = spin @ (edge + way * out) + table.pose[:2, 3]
-            pose = pose_at(spot, 0.0002, angle + yaw + float(rng.normal(0.0, 0.05)))
-            low, high = plan.box(chair, pose)
-            if plan.is_free(low, high, apart_from=(table.name,)) and plan.clear_of(chair, pose, table):
-                plan.add(rng, chair, pose, apart_from=(table.name,))
-                break
+    number = max(1, int(width / SEAT))
+    along = [(i + 0.5) / number * width - width / 2 for i in range(number)]
+    # Where a seat's edge is, the direction out of it, and the yaw of a chair that looks at the table.
+    seats = [((x, s * depth / 2), (0.0, s), 0.0 if s > 0 else np.pi) for s in (-1.0, 1.0) for x in along]
+    if not NO_HEADS[0] <= width <= NO_HEADS[1]:
+        ends = [((s * width / 2, 0.0), (s, 0.0), -s * np.pi / 2) for s in (-1.0, 1.0)]
+        seats += ends[: int(rng.integers(1, 3))]
+    for edge, outwards, yaw in seats:
+        if rng.random() >= EMPTY_SEAT:
+            plan.tuck(rng, chair, table, _seated(rng, chair, table, np.array(edge), np.array(outwards), yaw))
 
 
-def _pendant_over(rng: np.random.Generator, plan: Plan, table: Placed) -> None:
-    """Hang a pendant over the middle of a table, low enough to be over it and high enough to see across."""
-    tall = plan.shell.height - float(table.high[2]) - 0.6
-    piece = plan.choose(rng, "pendant", largest=(0.7, 0.7, tall))
+def _seated(
+    rng: np.random.Generator, chair: Piece, table: PlacedPiece, edge: Float64, outwards: Float64, yaw: float
+) -> Iterator[Float64]:
+    """Draw poses of a chair at a table's edge, the first furthest under it; `edge`, `outwards` in the table's frame."""
+    angle = float(np.arctan2(table.pose[1, 0], table.pose[0, 0]))
+    drawn = float(rng.exponential(DRAWN_OUT))
+    for tuck in TUCKED:
+        out = float(chair.size[1]) / 2 - tuck + drawn
+        place = table.pose[:2, :2] @ (edge + outwards * out) + table.pose[:2, 3]
+        yield pose_at(place, LIFT, angle + yaw + float(rng.normal(0.0, 0.05)))
+
+
+def _pendant_over(rng: np.random.Generator, plan: Plan, table: PlacedPiece) -> None:
+    """Hang a pendant over the centre of a table, low enough to be over it and high enough to see across."""
+    tall = plan.shell.height - float(table.high[2]) - SEE_ACROSS
+    piece = plan.choose(rng, "pendant", largest=(*PENDANT, tall))
     if piece is not None:
-        place = (table.low[:2] + table.high[:2]) / 2
-        plan.add(rng, piece, pose_at(place, plan.shell.height - HUNG - float(piece.size[2]), 0.0), lit=True)
+        plan.hang(rng, piece, (table.low[:2] + table.high[:2]) / 2)
 
 
 def kitchen_row(rng: np.random.Generator, plan: Plan) -> None:
     """Line up units of one make along a wall: fridge or tall unit, base units, sink, cooker; wall units above."""
     family = str(rng.choice(["a", "b"]))
-    for most in (4.2, 3.3, 2.5):
+    for most in ROWS:
         for wall in plan.walls_by_room(rng):
             row = _draw_row(rng, plan, family, min(wall.length - 0.1, most))
             width = sum(float(piece.size[0]) + JOINT for piece in row)
@@ -91,7 +105,7 @@ def kitchen_row(rng: np.random.Generator, plan: Plan) -> None:
                 placed = _line_up(rng, plan, wall, row, start - width / 2)
                 if row and len(placed) == len(row):
                     for unit in placed:
-                        keep_way(plan, unit, wall)
+                        keep_walkway(plan, unit, wall)
                     _above(rng, plan, wall, family, placed)
                     return
                 plan.back_to(mark)
@@ -99,7 +113,7 @@ def kitchen_row(rng: np.random.Generator, plan: Plan) -> None:
 
 def _draw_row(rng: np.random.Generator, plan: Plan, family: str, room: float) -> list[Piece]:
     """Draw units that fit a wall: sink and cooker first, base units between, something tall at one end."""
-    names = [f"sink_unit_{family}", "stove" if rng.random() < 0.7 else "washer"]
+    names = [f"sink_unit_{family}", "stove" if rng.random() < STOVE else "washer"]
     names += [f"base_unit_{family}"] * 6
     tall = plan.choose(rng, "fridge", "fridge", *(["tall_unit_a"] if family == "a" else []))
     row: list[Piece] = []
@@ -115,40 +129,35 @@ def _draw_row(rng: np.random.Generator, plan: Plan, family: str, room: float) ->
     return row
 
 
-def _line_up(rng: np.random.Generator, plan: Plan, wall: Wall, row: list[Piece], start: float) -> list[Placed]:
-    """Stand units side by side from `start` along a wall; what is in the way leaves a gap."""
-    placed: list[Placed] = []
+def _line_up(rng: np.random.Generator, plan: Plan, wall: Wall, row: list[Piece], start: float) -> list[PlacedPiece]:
+    """Stand units side by side from `start` along a wall; where one is not free there is a gap."""
+    placed: list[PlacedPiece] = []
     here = start
     for piece in row:
         wide = float(piece.size[0])
-        out = float(piece.size[1]) / 2 + BACK
-        pose = pose_at(wall.point(here + wide / 2, out), 0.0002, wall.angle)
+        place = wall.point(here + wide / 2, float(piece.size[1]) / 2 + BACK)
         names = [p.name for p in placed]
-        done = plan.add(rng, piece, pose, role="support", apart_from=names)
+        done = plan.stand(rng, piece, place, wall.angle, role="support", apart_from=names)
         placed += [] if done is None else [done]
         here += wide + JOINT
     return placed
 
 
-def _above(rng: np.random.Generator, plan: Plan, wall: Wall, family: str, row: list[Placed]) -> None:
+def _above(rng: np.random.Generator, plan: Plan, wall: Wall, family: str, row: list[PlacedPiece]) -> None:
     """Hang a hood over the cooker and wall units over the base units, where neither window nor shelf is."""
     for unit in row:
-        if unit.high[2] > 1.3:
+        if unit.high[2] > LOW:
             continue
-        along = float((unit.pose[:2, 3] - wall.centre) @ wall.right)
         if unit.piece.info.category == "stove":
-            hood = plan.choose(rng, "hood")
-            if hood is not None:
-                plan.against_wall(
-                    rng, hood, wall, along=along, z=min(1.6, plan.shell.height - float(hood.size[2]) - 0.02)
-                )
-        elif rng.random() < 0.75:
-            wide = float(unit.piece.size[0])
-            piece = plan.choose(
-                rng, f"wall_unit_{family}", largest=(wide + 0.004, 0.5, plan.shell.height - WALL_UNITS - 0.02)
-            )
-            if piece is not None:
-                plan.against_wall(rng, piece, wall, along=along, z=WALL_UNITS)
+            piece = plan.choose(rng, "hood")
+            z = HOOD if piece is None else min(HOOD, plan.shell.height - float(piece.size[2]) - 0.02)
+        elif rng.random() < WALL_UNIT:
+            largest = (float(unit.piece.size[0]) + 0.004, 0.5, plan.shell.height - WALL_UNITS - 0.02)
+            piece, z = plan.choose(rng, f"wall_unit_{family}", largest=largest), WALL_UNITS
+        else:
+            continue
+        if piece is not None:
+            plan.against_wall(rng, piece, wall, along=wall.along(unit.pose[:2, 3]), z=z)
 
 
 def bed(rng: np.random.Generator, plan: Plan) -> None:
@@ -161,25 +170,30 @@ def bed(rng: np.random.Generator, plan: Plan) -> None:
         placed = placed or plan.against_wall(rng, piece, wall)
         if placed is None:
             continue
-        along = float((placed.pose[:2, 3] - wall.centre) @ wall.right)
-        stand = plan.choose(rng, "nightstand", largest=(0.65, 0.6, 0.8))
-        for side in (-1.0, 1.0):
-            if stand is None:
-                break
-            here = along + side * (float(piece.size[0] + stand.size[0]) / 2 + 0.04)
-            done = plan.against_wall(rng, stand, wall, along=here, role="support")
-            if done is not None and rng.random() < 0.85:
-                lamp_on(rng, plan, done)
+        along = wall.along(placed.pose[:2, 3])
+        _nightstands(rng, plan, wall, along, float(piece.size[0]))
         rug = plan.choose(rng, "rug", largest=(2.2, 1.5, 0.1))
-        if rug is not None and rng.random() < 0.7:
+        if rug is not None and rng.random() < BED_RUG:
             out = float(piece.size[1]) + 0.1 + float(rug.size[1]) / 2
             plan.add(rng, rug, pose_at(wall.point(along, out), 0.0, wall.angle), zones=False)
         return
 
 
-def desk(rng: np.random.Generator, plan: Plan, *, share: float) -> None:
+def _nightstands(rng: np.random.Generator, plan: Plan, wall: Wall, along: float, bed_wide: float) -> None:
+    """Stand two alike at the sides of a bed, most with a lamp."""
+    stand = plan.choose(rng, "nightstand", largest=(0.65, 0.6, 0.8))
+    if stand is None:
+        return
+    for side in (-1.0, 1.0):
+        here = along + side * ((bed_wide + float(stand.size[0])) / 2 + 0.04)
+        done = plan.against_wall(rng, stand, wall, along=here, role="support")
+        if done is not None and rng.random() < BEDSIDE_LAMP:
+            lamp_on(rng, plan, done)
+
+
+def desk(rng: np.random.Generator, plan: Plan, *, probability: float) -> None:
     """Stand a desk at a wall, under a window as well, and a chair at it."""
-    if rng.random() >= share:
+    if rng.random() >= probability:
         return
     piece = plan.choose(rng, "desk", *TABLES[-2:], largest=(1.8, 0.95, 0.8))
     chair = plan.choose(rng, "office_chair", "office_chair", "chair", largest=(0.7, 0.7, 1.2))
@@ -188,42 +202,41 @@ def desk(rng: np.random.Generator, plan: Plan, *, share: float) -> None:
     for i in rng.permutation(4):
         wall = plan.shell.walls[int(i)]
         placed = plan.against_wall(rng, piece, wall, role="support", tries=6)
-        if placed is None:
-            continue
-        if chair is not None:
-            along = float((placed.pose[:2, 3] - wall.centre) @ wall.right) + float(rng.uniform(-0.15, 0.15))
-            for tuck in (0.2, 0.08, -0.03):
-                out = BACK + float(piece.size[1] + chair.size[1] / 2) - tuck + 0.05
-                pose = pose_at(wall.point(along, out), 0.0002, wall.angle + np.pi + float(rng.normal(0.0, 0.3)))
-                low, high = plan.box(chair, pose)
-                if plan.is_free(low, high, apart_from=(placed.name,)) and plan.clear_of(chair, pose, placed):
-                    plan.add(rng, chair, pose, apart_from=(placed.name,))
-                    break
-        return
+        if placed is not None:
+            if chair is not None:
+                plan.tuck(rng, chair, placed, _at_desk(rng, chair, placed, wall))
+            return
+
+
+def _at_desk(rng: np.random.Generator, chair: Piece, desk: PlacedPiece, wall: Wall) -> Iterator[Float64]:
+    """Draw poses of a chair at a desk, the first furthest under it."""
+    along = wall.along(desk.pose[:2, 3]) + float(rng.uniform(-0.15, 0.15))
+    for tuck in TUCKED_AT_DESK:
+        out = BACK + float(desk.piece.size[1] + chair.size[1] / 2) - tuck + 0.05
+        yield pose_at(wall.point(along, out), LIFT, wall.angle + np.pi + float(rng.normal(0.0, 0.3)))
 
 
 def reading_corner(rng: np.random.Generator, plan: Plan) -> None:
     """Stand an armchair in a corner, a lamp behind it and a small table beside it."""
     chair = plan.choose(rng, "armchair", largest=(1.1, 1.1, 1.2))
     if chair is None:
-        along_walls(rng, plan, "chair", share=1.0)
+        along_walls(rng, plan, "chair", probability=1.0)
         return
     half = np.array([plan.shell.width / 2, plan.shell.depth / 2])
+    reach = float(np.hypot(*chair.size[:2])) / 2
     for i in rng.permutation(4):
-        sign = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)][int(i)])
-        place = sign * (half - float(np.hypot(*chair.size[:2])) / 2 - 0.35)
+        sign = np.array(CORNERS[int(i)])
+        place = sign * (half - reach - 0.35)
         angle = float(np.arctan2(-place[0], place[1])) + float(rng.normal(0.0, 0.1))
-        placed = plan.add(rng, chair, pose_at(place, 0.0002, angle), role="support")
-        if placed is None:
+        if plan.stand(rng, chair, place, angle, role="support") is None:
             continue
         lamp = plan.choose(rng, "floorlamp", "floor_lamp")
         if lamp is not None:
-            out = np.array([half[0] - lamp.size[0] / 2 - 0.03, half[1] - lamp.size[1] / 2 - 0.03])
-            plan.add(rng, lamp, pose_at(sign * out, 0.0002, 0.0), lit=True)
+            plan.stand(rng, lamp, sign * (half - lamp.size[:2] / 2 - 0.03), 0.0, lit=True)
         small = plan.choose(rng, "nightstand", "table", "bistro", largest=(0.6, 0.6, 0.7))
         if small is not None:
             for step in (np.array([-sign[0], 0.0]), np.array([0.0, -sign[1]])):
-                spot = place + step * (float(np.hypot(*chair.size[:2])) / 2 + float(small.size[0]) / 2 + 0.02)
-                if plan.add(rng, small, pose_at(spot, 0.0002, 0.0), role="support") is not None:
+                spot = place + step * (reach + float(small.size[0]) / 2 + 0.02)
+                if plan.stand(rng, small, spot, 0.0, role="support") is not None:
                     break
         return

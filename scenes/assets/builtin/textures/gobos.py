@@ -3,19 +3,19 @@
 What lies past the border goes on as there, so every image ends in black or in one even tone.
 """
 
-import zlib
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from multilight.scenes.arrays import Float64, UInt8
-from multilight.scenes.assets.builtin.textures.surfaces import noise
+from multilight.scenes.assets.builtin.textures.patterns import Rng, noise
+from multilight.scenes.streams import generator_of
 
-Rng = np.random.Generator
 RESOLUTION = 512
 _EDGE = 0.004
-"""Width of an edge, as a share of the image: a gobo is metal or glass, a little out of focus."""
+"""Width of an edge, as a fraction of the image: a gobo is metal or glass, a little out of focus."""
 
 
 def _grid(n: int) -> tuple[Float64, Float64]:
@@ -62,9 +62,9 @@ def foliage(rng: Rng, n: int, *, leaves: int, length: float) -> Float64:
     blocked = np.zeros((n, n))
     for _ in range(leaves):
         cx, cy = rng.uniform(-1.1, 1.1, 2)
-        turn, size = rng.uniform(0, 2 * np.pi), length * rng.uniform(0.6, 1.4)
-        u = ((x - cx) * np.cos(turn) + (y - cy) * np.sin(turn)) / size
-        v = (-(x - cx) * np.sin(turn) + (y - cy) * np.cos(turn)) / size
+        angle, size = rng.uniform(0, 2 * np.pi), length * rng.uniform(0.6, 1.4)
+        u = ((x - cx) * np.cos(angle) + (y - cy) * np.sin(angle)) / size
+        v = (-(x - cx) * np.sin(angle) + (y - cy) * np.cos(angle)) / size
         # Two arcs that meet in points: a leaf.
         blocked = np.maximum(blocked, (np.abs(v) < 0.3 * (1 - u * u)) & (np.abs(u) < 1))
     return _frame(0.04 + 0.96 * (1 - gaussian_filter(blocked, 0.006 * n)), margin=0.02)
@@ -80,10 +80,10 @@ def dots(rng: Rng, n: int, *, count: int) -> Float64:
     return _frame((distance < pitch * rng.uniform(0.27, 0.36)).astype(float))
 
 
-def breakup(rng: Rng, n: int, *, scale: float, share: float) -> Float64:
-    """Break light up into irregular patches that cover a share of the image."""
+def breakup(rng: Rng, n: int, *, scale: float, open_fraction: float) -> Float64:
+    """Break light up into irregular patches that cover a fraction of the image."""
     field = noise(rng, n, scale=(scale, scale), rough=2.2)
-    return _frame((field > np.quantile(field, 1 - share)).astype(float), margin=0.02)
+    return _frame((field > np.quantile(field, 1 - open_fraction)).astype(float), margin=0.02)
 
 
 def lattice(rng: Rng, n: int, *, count: int) -> Float64:
@@ -95,22 +95,21 @@ def lattice(rng: Rng, n: int, *, count: int) -> Float64:
 
 
 GOBOS: dict[str, Callable[[Rng, int], Float64]] = {
-    "gobo-window-2x2": lambda rng, n: window(rng, n, columns=2, rows=2),
-    "gobo-window-2x3": lambda rng, n: window(rng, n, columns=2, rows=3),
-    "gobo-window-3x4": lambda rng, n: window(rng, n, columns=3, rows=4),
-    "gobo-window-arched": lambda rng, n: window(rng, n, columns=2, rows=4, arched=True),
-    "gobo-blinds-wide": lambda rng, n: blinds(rng, n, slats=9),
-    "gobo-blinds-narrow": lambda rng, n: blinds(rng, n, slats=18),
-    "gobo-foliage-large": lambda rng, n: foliage(rng, n, leaves=42, length=0.3),
-    "gobo-foliage-small": lambda rng, n: foliage(rng, n, leaves=160, length=0.15),
-    "gobo-dots": lambda rng, n: dots(rng, n, count=9),
-    "gobo-breakup-coarse": lambda rng, n: breakup(rng, n, scale=4.0, share=0.45),
-    "gobo-breakup-fine": lambda rng, n: breakup(rng, n, scale=9.0, share=0.5),
-    "gobo-lattice": lambda rng, n: lattice(rng, n, count=6),
+    "gobo-window-2x2": partial(window, columns=2, rows=2),
+    "gobo-window-2x3": partial(window, columns=2, rows=3),
+    "gobo-window-3x4": partial(window, columns=3, rows=4),
+    "gobo-window-arched": partial(window, columns=2, rows=4, arched=True),
+    "gobo-blinds-wide": partial(blinds, slats=9),
+    "gobo-blinds-narrow": partial(blinds, slats=18),
+    "gobo-foliage-large": partial(foliage, leaves=42, length=0.3),
+    "gobo-foliage-small": partial(foliage, leaves=160, length=0.15),
+    "gobo-dots": partial(dots, count=9),
+    "gobo-breakup-coarse": partial(breakup, scale=4.0, open_fraction=0.45),
+    "gobo-breakup-fine": partial(breakup, scale=9.0, open_fraction=0.5),
+    "gobo-lattice": partial(lattice, count=6),
 }
 
 
 def make_gobo(name: str, *, resolution: int = RESOLUTION) -> UInt8:
     """Make a gobo by name: linear transmission (N, N) uint8, the same for the same name."""
-    rng = np.random.Generator(np.random.PCG64(zlib.crc32(name.encode())))
-    return np.round(GOBOS[name](rng, resolution) * 255).astype(np.uint8)
+    return np.round(GOBOS[name](generator_of(name), resolution) * 255).astype(np.uint8)

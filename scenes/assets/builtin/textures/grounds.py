@@ -1,6 +1,6 @@
 """Patterns of open ground as tileable fields: lawn, gravel, paving, setts, asphalt, sand.
 
-As in `patterns` beside it: albedo (N, N, 3) in [0, 1], sRGB-encoded, and height (N, N) in metres, wrapping around.
+As in `patterns`: albedo (N, N, 3) in [0, 1], sRGB-encoded, and height (N, N) in metres, wrapping around.
 """
 
 import numpy as np

@@ -115,9 +115,9 @@ def cells(rng: Rng, n: int, count: int) -> tuple[Float64, Float64, Int64]:
 def terrazzo(rng: Rng, n: int, *, base: Colour, chips: tuple[Colour, ...]) -> tuple[Float64, Float64]:
     """Strew angular stone chips of two sizes into a ground."""
     albedo = np.array(base) * (1 + 0.02 * noise(rng, n, scale=(60, 60), rough=0.3)[..., None])
-    for count, share in ((2600, 0.35), (420, 0.45)):
+    for count, fraction in ((2600, 0.35), (420, 0.45)):
         near, second, index = cells(rng, n, count)
-        kept = rng.random(count) < share
+        kept = rng.random(count) < fraction
         shrink = rng.uniform(0.12, 0.4, count)[index]
         inside = kept[index] & ((second - near) > shrink * 0.5 / np.sqrt(count)) & (near < 0.62 / np.sqrt(count))
         colour = np.array(chips)[rng.integers(len(chips), size=count)] * rng.uniform(0.85, 1.1, (count, 1))
@@ -211,7 +211,7 @@ def cork(rng: Rng, n: int, *, colours: tuple[Colour, ...]) -> tuple[Float64, Flo
 
 
 def checked(rng: Rng, n: int, *, colours: tuple[Colour, Colour, Colour], threads: int) -> tuple[Float64, Float64]:
-    """Weave a check: broad bands of two colours both ways, a thin line of the third, over twill."""
+    """Weave a check: broad bands of two colours in both directions, a thin line of the third, over twill."""
     v, u = axes(n)
     base, height = weave(rng, n, across=(0.94, 0.94, 0.94), along=(0.86, 0.86, 0.86), threads=threads)
     albedo = np.broadcast_to(np.array(colours[0]), (n, n, 3)).copy()

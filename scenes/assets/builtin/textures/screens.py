@@ -3,18 +3,15 @@
 Each is sRGB-encoded, uint8, row 0 at the top, and fills its display; words are random syllables.
 """
 
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from multilight.scenes.arrays import UInt8
-from multilight.scenes.assets.builtin.textures.patterns import noise, ramp
+from multilight.scenes.assets.builtin.textures.patterns import Rng, noise, ramp
+from multilight.scenes.streams import generator_of, pick
 
-Rng = np.random.Generator
-Picture = UInt8
 Ink = tuple[int, int, int]
 
 _ACCENTS: tuple[Ink, ...] = (
@@ -25,10 +22,6 @@ _SKIES = (
     ((0.10, 0.08, 0.24), (0.62, 0.26, 0.38), (0.99, 0.68, 0.36)),
     ((0.22, 0.48, 0.80), (0.56, 0.76, 0.93), (0.90, 0.95, 0.97)),
 )
-
-
-def _accent(rng: Rng) -> Ink:
-    return _ACCENTS[int(rng.integers(len(_ACCENTS)))]
 
 
 def _words(rng: Rng, count: int) -> str:
@@ -54,7 +47,7 @@ def interface(rng: Rng, size: tuple[int, int]) -> Image.Image:
     """Draw an app: a bar, a banner picture, cards with text and a round button."""
     image, pen, _, card, ink = _paper(rng, size)
     w, h = size
-    unit, accent = min(w, h) / 24, _accent(rng)
+    unit, accent = min(w, h) / 24, pick(rng, _ACCENTS)
     pen.rectangle((0, 0, w, 3 * unit), fill=accent)
     pen.text((unit, 0.8 * unit), _words(rng, 2).title(), fill=(255, 255, 255), font=_font(1.3 * unit))
     top = 4 * unit
@@ -62,7 +55,7 @@ def interface(rng: Rng, size: tuple[int, int]) -> Image.Image:
     top += 0.22 * h + unit
     while top < h:
         pen.rounded_rectangle((unit, top, w - unit, top + 4 * unit), 0.6 * unit, fill=card)
-        pen.ellipse((1.6 * unit, top + 0.6 * unit, 4.4 * unit, top + 3.4 * unit), fill=_accent(rng))
+        pen.ellipse((1.6 * unit, top + 0.6 * unit, 4.4 * unit, top + 3.4 * unit), fill=pick(rng, _ACCENTS))
         pen.text((5.2 * unit, top + 0.6 * unit), _words(rng, 2).capitalize(), fill=ink, font=_font(1.2 * unit))
         pen.text((5.2 * unit, top + 2.2 * unit), _words(rng, 4), fill=(140, 144, 152), font=_font(unit))
         top += 4.8 * unit
@@ -81,7 +74,7 @@ def icons(rng: Rng, size: tuple[int, int]) -> Image.Image:
         for column in range(columns):
             if rng.random() < 0.8:
                 x, y = (column + 0.2) * pitch, (row + 0.6) * pitch
-                pen.rounded_rectangle((x, y, x + 0.6 * pitch, y + 0.6 * pitch), 0.14 * pitch, fill=_accent(rng))
+                pen.rounded_rectangle((x, y, x + 0.6 * pitch, y + 0.6 * pitch), 0.14 * pitch, fill=pick(rng, _ACCENTS))
                 inner = (x + 0.17 * pitch, y + 0.17 * pitch, x + 0.43 * pitch, y + 0.43 * pitch)
                 (pen.ellipse if rng.random() < 0.5 else pen.rectangle)(inner, fill=(250, 250, 250))
     return image
@@ -91,7 +84,7 @@ def chat(rng: Rng, size: tuple[int, int]) -> Image.Image:
     """Draw a conversation in bubbles."""
     image, pen, _, card, ink = _paper(rng, size)
     w, h = size
-    unit, accent, top = min(w, h) / 22, _accent(rng), 0.0
+    unit, accent, top = min(w, h) / 22, pick(rng, _ACCENTS), 0.0
     while top < h:
         mine, length = rng.random() < 0.5, float(rng.uniform(0.35, 0.7)) * w
         lines = int(rng.integers(1, 4))
@@ -115,7 +108,7 @@ def dashboard(rng: Rng, size: tuple[int, int]) -> Image.Image:
     for i, (x, y) in enumerate((x, y) for y in (0.04, 0.52) for x in (0.03, 0.51)):
         box = (x * w, y * h, (x + 0.46) * w, (y + 0.44) * h)
         pen.rounded_rectangle(box, 0.6 * unit, fill=card)
-        colour = _accent(rng)
+        colour = pick(rng, _ACCENTS)
         pen.text((box[0] + unit, box[1] + 0.6 * unit), _words(rng, 2).title(), fill=ink, font=_font(1.1 * unit))
         values = rng.uniform(0.15, 0.65, 9)
         xs = np.linspace(box[0] + unit, box[2] - unit, 10)
@@ -141,7 +134,9 @@ def editor(rng: Rng, size: tuple[int, int]) -> Image.Image:
         pen.text((0.02 * w, y), _words(rng, 1), fill=(150, 155, 165), font=_font(0.8 * step))
         for _ in range(int(rng.integers(0, 5))):
             word = _words(rng, 1)
-            pen.text((x, y), word, fill=_accent(rng) if rng.random() < 0.6 else (205, 208, 215), font=_font(step))
+            pen.text(
+                (x, y), word, fill=pick(rng, _ACCENTS) if rng.random() < 0.6 else (205, 208, 215), font=_font(step)
+            )
             x += (len(word) + 1) * 0.55 * step
         indent = int(np.clip(indent + rng.integers(-1, 2), 0, 4))
     return image
@@ -151,7 +146,7 @@ def view(rng: Rng, size: tuple[int, int]) -> Image.Image:
     """Paint a landscape like a photograph: a sky with a sun, and ridges that pale with distance."""
     w, h = size
     n = 256
-    sky = _SKIES[int(rng.integers(len(_SKIES)))]
+    sky = pick(rng, _SKIES)
     v, u = np.mgrid[0:n, 0:n] / n
     picture = ramp(np.clip(1.5 * v + 0.05 * noise(rng, n, scale=(6, 2)), 0, 1), sky)
     x, y = rng.uniform(0.2, 0.8), rng.uniform(0.15, 0.45)
@@ -168,7 +163,7 @@ def view(rng: Rng, size: tuple[int, int]) -> Image.Image:
 
 def swirl(rng: Rng, size: tuple[int, int]) -> Image.Image:
     """Paint a wallpaper of soft colours that run into each other."""
-    stops = tuple(tuple(c / 255 for c in _accent(rng)) for _ in range(3))
+    stops = tuple(tuple(c / 255 for c in pick(rng, _ACCENTS)) for _ in range(3))
     field = noise(rng, 256, scale=(1.5, 1.5), rough=2.2)
     pixels = np.round(ramp(np.clip(0.5 + 0.3 * field, 0, 1), stops) * 255).astype(np.uint8)  # type: ignore[arg-type]
     return Image.fromarray(pixels).resize(size, Image.Resampling.BICUBIC)
@@ -179,8 +174,8 @@ def dots(rng: Rng, size: tuple[int, int]) -> Image.Image:
     rows, columns = 16, round(16 * size[0] / size[1])
     small = Image.new("RGB", (columns, rows), (0, 0, 0))
     pen = ImageDraw.Draw(small)
-    colour = ((255, 60, 30), (255, 150, 20), (60, 255, 90), (70, 150, 255), (255, 255, 235))[int(rng.integers(5))]
-    word = ("OPEN", "BAR", "GO", "CAFE", "24H", "EXIT", "HELLO", "SALE")[int(rng.integers(8))]
+    colour = pick(rng, ((255, 60, 30), (255, 150, 20), (60, 255, 90), (70, 150, 255), (255, 255, 235)))
+    word = pick(rng, ("OPEN", "BAR", "GO", "CAFE", "24H", "EXIT", "HELLO", "SALE"))
     pen.fontmode = "1"
     font = ImageFont.load_default(11)
     left = (columns - pen.textlength(word, font=font)) / 2
@@ -220,4 +215,4 @@ SCREENS: dict[str, Screen] = {
 def make_screen(name: str) -> Image.Image:
     """Paint a picture by name, the same for the same name."""
     screen = SCREENS[name]
-    return screen.paint(np.random.Generator(np.random.PCG64(zlib.crc32(name.encode()))), screen.size)
+    return screen.paint(generator_of(name), screen.size)

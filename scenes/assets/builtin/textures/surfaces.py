@@ -3,7 +3,6 @@
 Row 0 is the image's top; all of them wrap around at their borders.
 """
 
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -30,6 +29,7 @@ from multilight.scenes.assets.builtin.textures.patterns import (
     wood,
 )
 from multilight.scenes.assets.derived_maps import roughness_map
+from multilight.scenes.streams import generator_of
 
 RESOLUTION = 1024
 
@@ -143,7 +143,7 @@ def make_texture(name: str, *, resolution: int = RESOLUTION) -> tuple[UInt8, UIn
     are rougher than what sticks out and is worn, and hands and feet leave broad traces.
     """
     recipe = TEXTURES[name]
-    rng = np.random.Generator(np.random.PCG64(zlib.crc32(name.encode())))
+    rng = generator_of(name)
     albedo, height = recipe.make(rng, resolution)
     relief = height - gaussian_filter(height, resolution / 30, mode="wrap")
     relief = np.clip(relief / max(float(relief.std()), 1e-12), -2.5, 2.5)
