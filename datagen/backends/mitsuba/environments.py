@@ -1,4 +1,4 @@
-"""Equirectangular maps as Mitsuba's `envmap` takes them, for every variant."""
+"""Equirectangular maps as Mitsuba's `envmap` takes them."""
 
 import math
 from typing import Any
