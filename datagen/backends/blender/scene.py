@@ -9,7 +9,7 @@ from mathutils import Matrix
 from multilight.datagen.backends.blender import lights as blender_lights
 from multilight.datagen.backends.blender import meshes
 from multilight.datagen.backends.blender.materials import Materials
-from multilight.datagen.backends.protocol import BackendError
+from multilight.datagen.backends.parts import body_parts, glowing_parts
 from multilight.lights.spec import EmissiveLight, EnvironmentLight, LightRig
 from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.library import AssetLibrary
@@ -29,10 +29,9 @@ class SyncedScene:
         self._materials = Materials(library)
         self._meshes: dict[object, bpy.types.Mesh] = {}
         self.objects: dict[str, list[bpy.types.Object]] = {}
-        emissive = [light for light in rig.lights if isinstance(light, EmissiveLight)]
-        _check_emissive(scene, emissive)
+        glowing = glowing_parts(scene, rig)
         for number, body in enumerate(scene.bodies, start=1):
-            glows = {light.part: light for light in emissive if light.body == body.name}
+            glows = {part: light for (name, part), light in glowing.items() if name == body.name}
             self.objects[body.name] = self._add_body(body, number, glows)
         self.lamps: list[bpy.types.Object] = []
         worlds = []
@@ -104,26 +103,9 @@ class SyncedScene:
                 return meshes.unit_sphere(body.name)
             case Rectangle() as shape:
                 return meshes.rectangle(body.name, shape)
-            case MeshAsset() as shape:
-                mesh = self._library.mesh(shape.asset)
-                if len(mesh.parts) != shape.parts:
-                    raise BackendError(
-                        f"asset {shape.asset!r} has {len(mesh.parts)} part(s), not {shape.parts}; "
-                        "make the scene again with the assets that are installed now"
-                    )
-                return meshes.mesh_from_parts(body.name, [mesh.parts[part] for part in parts])
-
-
-def _check_emissive(scene: SceneSpec, emissive: list[EmissiveLight]) -> None:
-    """Fail on a light that names no part of the scene, or a part that another light has."""
-    free = {body.name: list(range(len(body.materials))) for body in scene.bodies}
-    for light in emissive:
-        if light.part not in free.get(light.body, ()):
-            raise BackendError(
-                f"light {light.name!r}: part {light.part} of body {light.body!r} is not free to glow; "
-                f"bodies and their free parts are {free}"
-            )
-        free[light.body].remove(light.part)
+            case MeshAsset():
+                own = body_parts(body, self._library)
+                return meshes.mesh_from_parts(body.name, [own[part] for part in parts])
 
 
 def place_camera(camera: Camera) -> None:

@@ -3,19 +3,20 @@
 Everything that differs from scene to scene is data here, so that one compiled kernel renders them all.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from multilight.datagen.backends.parts import body_parts, glowing_parts
 from multilight.datagen.backends.protocol import BackendError
 from multilight.lights.spec import EmissiveLight, LightRig
 from multilight.scenes.arrays import Float32, Float64, Mask, UInt32
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.files.limits import open_picture
-from multilight.scenes.meshes import MeshPart, rectangle_part, sphere_part
-from multilight.scenes.spec import Body, Material, MeshAsset, Rectangle, SceneSpec, Sphere, Texture
+from multilight.scenes.meshes import MeshPart
+from multilight.scenes.spec import Material, SceneSpec, Texture
 
 NONE = 0xFFFFFFFF
 """Stands for no texture and no light."""
@@ -82,7 +83,7 @@ def _read_words(path: Path) -> UInt32:
 
 def scene_arrays(scene: SceneSpec, rig: LightRig, library: AssetLibrary, textures: Textures) -> SceneArrays:
     """Flatten a scene; raises `BackendError` where an emissive light names no part of it, or an asset has changed."""
-    glows = glowing_parts(scene, rig)
+    glowing = glowing_parts(scene, rig)
     atlas = _Atlas(textures)
     vertices: list[Float32] = []
     faces: list[UInt32] = []
@@ -92,15 +93,16 @@ def scene_arrays(scene: SceneSpec, rig: LightRig, library: AssetLibrary, texture
     vertex = face = 0
     for number, body in enumerate(scene.bodies, start=1):
         first = face
-        for part, mesh in enumerate(parts_of(body, library)):
+        for part, mesh in enumerate(body_parts(body, library)):
             material = body.materials[part]
-            placed = place_part(mesh, np.array(body.world_from_body))
+            placed = _placed(mesh, np.array(body.world_from_body))
             row = np.full((len(mesh.faces), 1), len(values), np.uint32)
             vertices.append(placed)
             faces.append(np.concatenate([mesh.faces.astype(np.uint32) + np.uint32(vertex), row], axis=1))
-            glow = glows.get((body.name, part))
-            values.append(_values(material, None if glow is None else rig.lights[glow]))
-            links.append(_links(material, number, glow, None if glow is None else rig.lights[glow], atlas))
+            light = glowing.get((body.name, part))
+            glow = None if light is None else rig.names.index(light.name)
+            values.append(_values(material, light))
+            links.append(_links(material, number, glow, light, atlas))
             vertex += len(placed)
             face += len(mesh.faces)
         spans[body.name] = (first, face - first)
@@ -117,46 +119,12 @@ def scene_arrays(scene: SceneSpec, rig: LightRig, library: AssetLibrary, texture
     )
 
 
-def parts_of(body: Body, library: AssetLibrary) -> Sequence[MeshPart]:
-    """Return a body's triangles in its own frame, a part for each of its materials."""
-    match body.geometry:
-        case Sphere() as shape:
-            return (sphere_part(shape, body.materials[0]),)
-        case Rectangle() as shape:
-            return (rectangle_part(shape, body.materials[0]),)
-        case MeshAsset() as shape:
-            mesh = library.mesh(shape.asset)
-            if len(mesh.parts) != shape.parts:
-                raise BackendError(
-                    f"asset {shape.asset!r} has {len(mesh.parts)} part(s), not {shape.parts}; "
-                    "make the scene again with the assets that are installed now"
-                )
-            return mesh.parts
-
-
-def place_part(part: MeshPart, pose: Float64) -> Float32:
+def _placed(part: MeshPart, pose: Float64) -> Float32:
     """Place a part in the world: (V, 8) float32 position, unit normal, uv."""
     normals = part.normals @ np.linalg.inv(pose[:3, :3])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
     points = part.vertices @ pose[:3, :3].T + pose[:3, 3]
     return np.concatenate([points, normals, part.uv], axis=1).astype(np.float32)
-
-
-def glowing_parts(scene: SceneSpec, rig: LightRig) -> dict[tuple[str, int], int]:
-    """Map (body, part) to the light's number; fails on a light that names no part, or one that another has."""
-    glows: dict[tuple[str, int], int] = {}
-    parts = {body.name: len(body.materials) for body in scene.bodies}
-    for number, light in enumerate(rig.lights):
-        if not isinstance(light, EmissiveLight):
-            continue
-        key = (light.body, light.part)
-        if light.part >= parts.get(light.body, 0) or key in glows:
-            raise BackendError(
-                f"light {light.name!r}: part {light.part} of body {light.body!r} is not free to glow; "
-                f"bodies and their numbers of parts are {parts}"
-            )
-        glows[key] = number
-    return glows
 
 
 class _Atlas:
