@@ -264,8 +264,8 @@ class Glow:
     delta, distant = False, False
 
     def __init__(self, light: EmissiveLight, number: int, arrays: SceneArrays, surfaces: Surfaces) -> None:
-        row = int(np.flatnonzero(arrays.links[:, 11] == number)[0])
-        self.body = dr.opaque(mi.UInt32, int(arrays.links[row, 3]))
+        row = int(np.flatnonzero(arrays.links["glow"] == number)[0])
+        self.body = dr.opaque(mi.UInt32, int(arrays.links[row]["body"]))
         faces = np.flatnonzero(arrays.faces[:, 3] == row)
         corners = arrays.vertices[arrays.faces[faces, :3].astype(np.int64), :3].astype(np.float64)
         sides = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
