@@ -1,4 +1,4 @@
-"""A scene as flat arrays: one soup of triangles in the world, one row of numbers for each surface.
+"""A scene as flat arrays: all its triangles in the world, one row of numbers for each surface.
 
 Everything that differs from scene to scene is data here, so that one compiled kernel renders them all.
 """

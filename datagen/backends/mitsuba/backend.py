@@ -16,10 +16,10 @@ from multilight.datagen.backends.mitsuba.cameras import Lens
 from multilight.datagen.backends.mitsuba.device import on_device
 from multilight.datagen.backends.mitsuba.film import Film, Key, Values
 from multilight.datagen.backends.mitsuba.geometry import geometry_buffers
-from multilight.datagen.backends.mitsuba.integrator import Book, World, trace
+from multilight.datagen.backends.mitsuba.integrator import PathResult, World, trace
 from multilight.datagen.backends.mitsuba.lights import emitters_of
 from multilight.datagen.backends.mitsuba.sampling import Sampler, stream_of
-from multilight.datagen.backends.mitsuba.surfaces import Surfaces, build
+from multilight.datagen.backends.mitsuba.surfaces import Surfaces, accelerate
 from multilight.datagen.backends.protocol import BackendError, RenderJob, RenderSettings, split_variant
 from multilight.datagen.storage.layers import LayerStack
 from multilight.lights.spec import EmissiveLight, LightRig
@@ -87,14 +87,14 @@ class MitsubaBackend:
             bits[scene.instance_id(name)] = 1 << place
         seen = on_device(mi.UInt32, bits)
         changing = arrays.of_bodies(scene.insertable) | arrays.let_light_through()
-        fixed = build(arrays, ~changing)
+        fixed = accelerate(arrays, ~changing)
 
         def world(removed: str | None) -> World:
             there = ~arrays.of_bodies([] if removed is None else [removed])
-            whole = build(arrays, there)
+            whole = accelerate(arrays, there)
             if whole is None:
                 raise BackendError(f"the scene has no triangles without {removed!r}")
-            return World(whole, fixed, build(arrays, changing & there), surfaces, emitters, self._tables, seen)
+            return World(whole, fixed, accelerate(arrays, changing & there), surfaces, emitters, self._tables, seen)
 
         return {removed: world(removed) for removed in (None, *scene.insertable)}
 
@@ -131,15 +131,15 @@ class _Synced:
 
     def __init__(self, scene: SceneSpec, rig: LightRig, backend: MitsubaBackend) -> None:
         self.scene, self.rig = scene, rig
-        self._worlds = backend.worlds(scene, rig)
-        self._seed = int(scene.sha256()[:8], 16)
+        self.worlds = backend.worlds(scene, rig)
+        self.seed = int(scene.sha256()[:8], 16)
         self._key: tuple[int, RenderSettings] | None = None
         self._view: _Pictures | None = None
 
     @property
     def world(self) -> World:
         """The whole scene."""
-        return self._worlds[None]
+        return self.worlds[None]
 
     def view(self, number: int, settings: RenderSettings) -> _Pictures:
         """Render all variants of a view, or return them where it was the last."""
@@ -198,47 +198,47 @@ class _Batch:
         self._size = blocks.size
         self._pixel, self._first = on_device(mi.UInt32, blocks.pixel), on_device(mi.UInt32, blocks.first)
         # One seed for all variants of a view.
-        self._seed = dr.opaque(mi.UInt32, (synced._seed + number) % 2**32)
-        self._book = self._trace(None, dr.arange(mi.UInt32, len(blocks) * blocks.size))
+        self._seed = dr.opaque(mi.UInt32, (synced.seed + number) % 2**32)
+        self._result = self._trace(None, dr.arange(mi.UInt32, len(blocks) * blocks.size))
 
     def values(self) -> Iterator[tuple[Key, Values]]:
         """Give what the samples bring to each variant and mask of an object."""
-        scene, book = self._synced.scene, self._book
-        yield ("all", ""), book.layers
-        yield ("guides", ""), [book.albedo, book.normal]
-        yield ("uncovered", ""), [mi.Color3f(dr.select(book.covered, mi.Float(0), 1))]
+        scene, result = self._synced.scene, self._result
+        yield ("all", ""), result.layers
+        yield ("guides", ""), [result.albedo, result.normal]
+        yield ("uncovered", ""), [mi.Color3f(dr.select(result.covered, mi.Float(0), 1))]
         for place, name in enumerate(scene.insertable):
-            mine = book.first == scene.instance_id(name)
-            seen = (book.seen >> place) & 1 != 0
+            mine = result.first == scene.instance_id(name)
+            seen = (result.seen >> place) & 1 != 0
             yield ("masks", name), [mi.Color3f(dr.select(mine, mi.Float(1), 0), dr.select(seen, mi.Float(1), 0), 0)]
-            yield ("foreground", name), [dr.select(mine, layer, 0) for layer in book.layers]
-            *layers, albedo, normal = self._without(book, name, place)
+            yield ("foreground", name), [dr.select(mine, layer, 0) for layer in result.layers]
+            *layers, albedo, normal = self._without(result, name, place)
             yield ("without", name), layers
             yield ("guides", name), [albedo, normal]
 
     def cost(self) -> Float32:
         """Return how often rays were followed for the samples of each of N blocks, in all variants, (N,)."""
-        book = self._book
-        steps = mi.Float(book.steps * (1 + dr.popcnt(book.met)))
+        result = self._result
+        steps = mi.Float(result.steps * (1 + dr.popcnt(result.met)))
         return np.array(dr.block_sum(steps, self._size))
 
-    def _without(self, book: Book, name: str, place: int) -> list[mi.Color3f]:
+    def _without(self, result: PathResult, name: str, place: int) -> list[mi.Color3f]:
         """Trace again, without an object, the samples that met it; the others are what they were.
 
         Returns the layers, and the albedo and normal that guide their denoiser.
         """
-        layers = [mi.Color3f(layer) for layer in (*book.layers, book.albedo, book.normal)]
-        index = dr.compress((book.met >> place) & 1 != 0)
+        layers = [mi.Color3f(layer) for layer in (*result.layers, result.albedo, result.normal)]
+        index = dr.compress((result.met >> place) & 1 != 0)
         if dr.width(index):
             again = self._trace(name, index)
             for layer, new in zip(layers, (*again.layers, again.albedo, again.normal), strict=True):
                 dr.scatter(layer, mi.Color3f(new), index)
         for number, light in enumerate(self._synced.rig.lights):
             if isinstance(light, EmissiveLight) and light.body == name:
-                layers[number] = dr.zeros(mi.Color3f, dr.width(book.met))
+                layers[number] = dr.zeros(mi.Color3f, dr.width(result.met))
         return layers
 
-    def _trace(self, removed: str | None, index: mi.UInt32) -> Book:
+    def _trace(self, removed: str | None, index: mi.UInt32) -> PathResult:
         size, width = dr.opaque(mi.UInt32, self._size), dr.opaque(mi.UInt32, self._camera.width)
         block = index // size
         pixel = dr.gather(mi.UInt32, self._pixel, block)
@@ -248,6 +248,15 @@ class _Batch:
         row = pixel // width
         film = mi.Point2f(mi.Float(pixel - row * width) + inside.x, mi.Float(row) + inside.y)
         ray = self._lens.rays(film, sampler.next_2d(LENS, BEFORE_PATHS))
-        book = trace(self._synced._worlds[removed], ray, sampler, max_bounces=self._settings.max_bounces)
-        dr.eval(book.layers, book.met, book.seen, book.first, book.covered, book.albedo, book.normal, book.steps)
-        return book
+        result = trace(self._synced.worlds[removed], ray, sampler, max_bounces=self._settings.max_bounces)
+        dr.eval(
+            result.layers,
+            result.met,
+            result.seen,
+            result.first,
+            result.covered,
+            result.albedo,
+            result.normal,
+            result.steps,
+        )
+        return result

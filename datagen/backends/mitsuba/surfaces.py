@@ -192,7 +192,7 @@ def _linear_from_srgb(c: mi.Color3f) -> mi.Color3f:
 
 
 @dataclass
-class Soup:
+class TriangleSet:
     """Some of a scene's triangles, accelerated. `original` holds, for each of them, its number in the whole scene."""
 
     scene: mi.Scene
@@ -203,7 +203,7 @@ class Soup:
         return dr.gather(mi.UInt32, self.original, found.prim_index, active)
 
 
-def build(arrays: SceneArrays, chosen: Mask) -> Soup | None:
+def accelerate(arrays: SceneArrays, chosen: Mask) -> TriangleSet | None:
     """Build an acceleration structure over the chosen triangles; None where there are none."""
     original = np.flatnonzero(chosen).astype(np.uint32)
     if not original.size:
@@ -213,4 +213,4 @@ def build(arrays: SceneArrays, chosen: Mask) -> Soup | None:
     parameters["vertex_positions"] = on_device(mi.Float, arrays.vertices[:, :3])
     parameters["faces"] = on_device(mi.UInt32, arrays.faces[original, :3])
     parameters.update()
-    return Soup(mi.load_dict({"type": "scene", "mesh": mesh}), on_device(mi.UInt32, original))
+    return TriangleSet(mi.load_dict({"type": "scene", "mesh": mesh}), on_device(mi.UInt32, original))

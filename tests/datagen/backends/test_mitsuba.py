@@ -40,7 +40,7 @@ from multilight.datagen.backends.mitsuba.bsdf import Tables
 from multilight.datagen.backends.mitsuba.cameras import Lens
 from multilight.datagen.backends.mitsuba.integrator import World, trace
 from multilight.datagen.backends.mitsuba.lights import emitters_of
-from multilight.datagen.backends.mitsuba.surfaces import Surfaces, build
+from multilight.datagen.backends.mitsuba.surfaces import Surfaces, accelerate
 
 WHITE = (1.0, 1.0, 1.0)
 
@@ -150,7 +150,7 @@ def _ours(lights: tuple[Light, ...], library) -> World:
     arrays = _with_blocks(arrays)
     surfaces = Surfaces(arrays)
     emitters = emitters_of(LightRig(lights=lights), arrays, surfaces, library)
-    whole = build(arrays, arrays.of_bodies(arrays.spans))
+    whole = accelerate(arrays, arrays.of_bodies(arrays.spans))
     return World(whole, whole, None, surfaces, emitters, Tables(), mi.UInt32([0] * 4))
 
 
@@ -224,10 +224,10 @@ def test_layers_sum_to_the_builtin_path_integrator_path_by_path(library, chosen,
     order = [PLUGINS[str(e).split("[")[0]] for e in builtin.emitters()]
     lights = {light.name: light for light in OWN_LIGHTS}
     world = _ours(tuple(lights[name] for name in order), library)
-    book = trace(world, _rays(), Sequential(_sampler()), max_bounces=5, one_light=True)
+    result = trace(world, _rays(), Sequential(_sampler()), max_bounces=5, one_light=True)
     path = mi.load_dict({"type": "path", "max_depth": 7, "rr_depth": 3})
     expected = np.array(path.sample(builtin, _sampler(), mi.RayDifferential3f(_rays()))[0])
-    total = np.array(sum(book.layers[1:], book.layers[0]))
+    total = np.array(sum(result.layers[1:], result.layers[0]))
     assert expected.mean() > 0.1
     off = np.abs(total - expected).max(axis=0) / expected.mean()
     assert np.mean(off > 1e-4) < share
@@ -399,9 +399,9 @@ def test_only_paths_that_met_a_glowing_object_are_traced_again(backend):
     backend.render(RenderJob(scene, LightRig(lights=lights), settings, 0))
     camera = scene.cameras[0]
     batch = _Batch(backend._synced, Lens(camera), camera, settings, (0, first_blocks(camera.width * camera.height, 4)))
-    book = batch._trace(None, dr.arange(mi.UInt32, camera.width * camera.height * 4))
-    lit = np.array(book.first) > 0
-    assert 0 < np.mean(np.array(book.met)[lit] != 0) < 0.25
+    result = batch._trace(None, dr.arange(mi.UInt32, camera.width * camera.height * 4))
+    lit = np.array(result.first) > 0
+    assert 0 < np.mean(np.array(result.met)[lit] != 0) < 0.25
 
 
 def test_composite_with_one_lighting_is_the_target_at_edges(backend):
