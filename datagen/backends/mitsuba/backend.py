@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from types import TracebackType
 from typing import Self
 
 import drjit as dr
@@ -20,12 +19,12 @@ from multilight.datagen.backends.mitsuba.integrator import PathResult, World, tr
 from multilight.datagen.backends.mitsuba.lights import emitters_of
 from multilight.datagen.backends.mitsuba.sampling import Sampler, stream_of
 from multilight.datagen.backends.mitsuba.surfaces import Surfaces, accelerate
-from multilight.datagen.backends.protocol import BackendError, RenderJob, RenderSettings, split_variant
+from multilight.datagen.backends.protocol import BackendError, RenderJob, RenderSettings, split_variant, view_camera
 from multilight.datagen.storage.layers import LayerStack
 from multilight.lights.spec import EmissiveLight, LightRig
 from multilight.scenes.arrays import Float32
 from multilight.scenes.assets.library import AssetLibrary
-from multilight.scenes.spec import Camera, SceneSpec
+from multilight.scenes.spec import SceneSpec
 
 LANES = 1 << 22
 """Samples traced at once: enough to keep a GPU busy, few enough for memory."""
@@ -51,21 +50,18 @@ class MitsubaBackend:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._synced = None
 
     def render(self, job: RenderJob) -> LayerStack:
         """Render one job; raises `BackendError` with the value and the remedy."""
         action, name = split_variant(job.scene, job.variant)
-        if not 0 <= job.view < len(job.scene.cameras):
-            raise BackendError(f"view {job.view} is not in 0..{len(job.scene.cameras) - 1}")
+        camera = view_camera(job)
         dr.set_thread_count(job.settings.threads or dr.thread_count())
         synced = self._sync(job)
         view = synced.view(job.view, job.settings)
         if name is None:
-            geometry = geometry_buffers(synced.world, job.scene.cameras[job.view], view.uncovered)
+            geometry = geometry_buffers(synced.world, camera, view.uncovered)
             return replace(view.stack(job.rig, view.everything), geometry=geometry)
         if action == "without":
             return replace(view.stack(job.rig, view.without[name], name), shown=view.shown[name])
@@ -152,16 +148,15 @@ class _Synced:
         camera = self.scene.cameras[number]
         film = Film(camera.height, camera.width)
         lens = Lens(camera)
-
         names = self.scene.insertable
-        told = (("all", ""), *(("without", name) for name in names))
+        keys = (("all", ""), *(("without", name) for name in names))
 
         def sample(blocks: Blocks, squares: Sequence[Key] = ()) -> Float32:
             """Add samples to the film; returns what each of their blocks cost."""
             costs, at_once = [], max(1, LANES // blocks.size)
             for start in range(0, len(blocks), at_once):
                 part = blocks[start : start + at_once]
-                batch = _Batch(self, lens, camera, settings, (number, part))
+                batch = _Batch(self, lens, settings, number, part)
                 film.add(part, batch.values(), squares=squares)
                 costs.append(batch.cost())
             return np.concatenate(costs)
@@ -170,10 +165,10 @@ class _Synced:
         if settings.spp == first.size:
             sample(first)
         else:
-            cost = sample(first, told).reshape(camera.height, camera.width, FIRST).mean(axis=-1)
+            cost = sample(first, keys).reshape(camera.height, camera.width, FIRST).mean(axis=-1)
             pilots = [
                 Pilot(*film.variance(key, FIRST), np.concatenate([*film.mean(("guides", key[1]))], axis=-1))
-                for key in told
+                for key in keys
             ]
             sample(further_blocks(first, pilots, cost, settings.spp))
         return _Pictures(
@@ -190,12 +185,9 @@ class _Synced:
 class _Batch:
     """Some samples of a view's pixels, block after block."""
 
-    def __init__(
-        self, synced: _Synced, lens: Lens, camera: Camera, settings: RenderSettings, part: tuple[int, Blocks]
-    ) -> None:
-        self._synced, self._lens, self._camera, self._settings = synced, lens, camera, settings
-        number, blocks = part
-        self._size = blocks.size
+    def __init__(self, synced: _Synced, lens: Lens, settings: RenderSettings, number: int, blocks: Blocks) -> None:
+        self._synced, self._lens, self._settings = synced, lens, settings
+        self._size, self._width = blocks.size, synced.scene.cameras[number].width
         self._pixel, self._first = on_device(mi.UInt32, blocks.pixel), on_device(mi.UInt32, blocks.first)
         # One seed for all variants of a view.
         self._seed = dr.opaque(mi.UInt32, (synced.seed + number) % 2**32)
@@ -239,7 +231,7 @@ class _Batch:
         return layers
 
     def _trace(self, removed: str | None, index: mi.UInt32) -> PathResult:
-        size, width = dr.opaque(mi.UInt32, self._size), dr.opaque(mi.UInt32, self._camera.width)
+        size, width = dr.opaque(mi.UInt32, self._size), dr.opaque(mi.UInt32, self._width)
         block = index // size
         pixel = dr.gather(mi.UInt32, self._pixel, block)
         sample = dr.gather(mi.UInt32, self._first, block) + (index - block * size)
@@ -249,14 +241,5 @@ class _Batch:
         film = mi.Point2f(mi.Float(pixel - row * width) + inside.x, mi.Float(row) + inside.y)
         ray = self._lens.rays(film, sampler.next_2d(LENS, BEFORE_PATHS))
         result = trace(self._synced.worlds[removed], ray, sampler, max_bounces=self._settings.max_bounces)
-        dr.eval(
-            result.layers,
-            result.met,
-            result.seen,
-            result.first,
-            result.covered,
-            result.albedo,
-            result.normal,
-            result.steps,
-        )
+        dr.eval(result)
         return result

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 Array = TypeVar("Array", mi.Float, mi.UInt32)
 ALIGNMENT = 64
+CLAMPED = {"filter_mode": dr.FilterMode.Linear, "wrap_mode": dr.WrapMode.Clamp}
+"""How most textures are looked up."""
 
 
 def on_device(kind: type[Array], array: NDArray[np.generic]) -> Array:
