@@ -1,4 +1,4 @@
-"""Both renderers still make the pictures that were judged right, within noise (`tests/goldens`)."""
+"""Both renderers still make the pictures that were judged right, within noise (`goldens/`)."""
 
 import importlib.util
 
