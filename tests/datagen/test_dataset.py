@@ -15,13 +15,11 @@ import polars as pl
 import pytest
 
 from multilight.datagen.backends.analytic import AnalyticBackend
-from multilight.datagen.backends.machine.variants import choose_variant
 from multilight.datagen.backends.protocol import Backend, RenderJob
 from multilight.datagen.cli import main
 from multilight.datagen.config.dataset import DatasetConfig
 from multilight.datagen.production.scene import Maker, make_scene
 from multilight.datagen.storage.layers import LayerStack
-from multilight.datagen.storage.records import DatasetRecord
 from multilight.datagen.storage.store import file_sha256, read_scene, scene_dir, scene_indices
 from multilight.datagen.verification.views import verify_scene
 from multilight.scenes.assets.library import AssetLibrary
@@ -256,16 +254,3 @@ def test_full_disk_is_said_and_finished_scenes_stay(small_disk: Path) -> None:
         assert [fault["message"].startswith(told) for fault in found if fault["check"] != "index"] == [True]
     finally:
         subprocess.run(["umount", "-l", str(small_disk)], check=True)
-
-
-def test_continuing_with_mitsubas_scalar_variant_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    root = tmp_path / "d"
-    record = DatasetRecord(config=DatasetConfig(renderer="mitsuba"), renderer="mitsuba", variant="", versions={})
-    here = choose_variant().variant
-    other = "llvm_ad_rgb" if here == "scalar_rgb" else "scalar_rgb"
-    root.mkdir()
-    (root / "dataset.json").write_text(record.model_copy(update={"variant": other}).sealed().model_dump_json())
-    assert run("dataset", "--out", root, "--renderer", "mitsuba", "--scenes", 4) == 1
-    errors = capsys.readouterr().err
-    assert other in errors
-    assert here in errors

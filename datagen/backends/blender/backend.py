@@ -2,7 +2,6 @@
 
 import contextlib
 from collections.abc import Iterator
-from types import TracebackType
 from typing import ClassVar, Self
 
 import bpy
@@ -11,7 +10,7 @@ import numpy as np
 from multilight.datagen.backends.blender.film import Passes, beauty_filter, centre_filter, configure, render_passes
 from multilight.datagen.backends.blender.materials import ALBEDO_AOV, SURFACE_AOV
 from multilight.datagen.backends.blender.scene import SyncedScene, place_camera, projected_border
-from multilight.datagen.backends.protocol import BackendError, RenderJob, RenderSettings, split_variant
+from multilight.datagen.backends.protocol import RenderJob, RenderSettings, split_variant, view_camera
 from multilight.datagen.storage.layers import GeometryBuffers, LayerStack
 from multilight.lights.spec import LightRig
 from multilight.scenes.arrays import Float32
@@ -41,9 +40,7 @@ class BlenderBackend:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if BlenderBackend._holder is self:
             bpy.ops.wm.read_factory_settings(use_empty=True)
             BlenderBackend._holder = None
@@ -52,10 +49,8 @@ class BlenderBackend:
     def render(self, job: RenderJob) -> LayerStack:
         """Render one job; raises `BackendError` with the value and the remedy."""
         action, name = split_variant(job.scene, job.variant)
-        if not 0 <= job.view < len(job.scene.cameras):
-            raise BackendError(f"view {job.view} is not in 0..{len(job.scene.cameras) - 1}")
+        camera = view_camera(job)
         synced = self._sync(job)
-        camera = job.scene.cameras[job.view]
         place_camera(camera)
         # One seed for all variants of a view: pixels that the object does not touch come out the same.
         bpy.context.scene.cycles.seed = (self._seeds + job.view) % 2**31
@@ -180,7 +175,7 @@ def _towards_camera(camera: Camera, normal: Float32) -> Float32:
 
 
 def _render_foreground(synced: SyncedScene, job: RenderJob, name: str) -> LayerStack:
-    camera = job.scene.cameras[job.view]
+    camera = view_camera(job)
     border = projected_border(camera, synced.box(name))
     if border is None:
         return _unseen(camera, job.rig)
