@@ -21,6 +21,7 @@ from multilight.datagen.commands.terminal import (
     signals_end_it,
 )
 from multilight.datagen.errors import UserError
+from multilight.scenes.errors import MultilightError
 from multilight.scenes.files.limits import shown
 
 ABOUT = "Synthetic multi-light data for object compositing, harmonization, relighting and shadow generation."
@@ -92,12 +93,11 @@ def main(arguments: list[str] | None = None, commands: Mapping[str, type] = COMM
     except (BrokenPipeError, SystemExit):  # rich makes the one of the other
         drop_unwritten()
         return PIPE_BROKEN
-    except (RuntimeError, OSError, MemoryError) as error:
-        told = _told(error)
-        if traceback or told is None:
+    except (MultilightError, OSError, MemoryError) as error:
+        if traceback:
             raise
         drop_unwritten()
-        print(f"error: {one_line(told)}", file=sys.stderr)
+        print(f"error: {one_line(_told(error))}", file=sys.stderr)
         return 1
 
 
@@ -120,18 +120,13 @@ def _tell_of_cache() -> None:
         cache.tell_thrown_away()
 
 
-def _told(error: Exception) -> str | None:
-    """Say what a user can act on; None for a fault of the program."""
-    from multilight.datagen.backends.protocol import BackendError
-    from multilight.scenes.assets.info import AssetError
-
+def _told(error: Exception) -> str:
+    """Say what a user can act on."""
     match error:
-        case UserError() | BackendError() | AssetError():
-            return str(error)
         case MemoryError():
             return (
                 f"not enough memory ({error or 'none left'}); free some, or ask for fewer workers or smaller pictures"
             )
         case OSError():
             return f"{reason_of(error)}; free some space, or choose another place"
-    return None
+    return str(error)

@@ -18,6 +18,7 @@ from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.cameras.paths import CameraSettings, TrajectoryShares, choose_trajectory
 from multilight.scenes.cameras.pinhole import matrix4
 from multilight.scenes.cameras.trajectory import Subject, TrajectoryError, sample_trajectory
+from multilight.scenes.errors import MultilightError
 from multilight.scenes.frozen import Frozen, UnitFloat
 from multilight.scenes.geometry.rays import SceneRays, body_triangles, surface_points
 from multilight.scenes.materials import body_materials
@@ -42,7 +43,7 @@ Choice = tuple[list[Standing], list[int], int | None]
 """Objects, the indices of the insertable ones, and the index of the one that glows."""
 
 
-class SceneSamplingError(RuntimeError):
+class SceneSamplingError(MultilightError):
     """No attempt at a scene succeeded: names the seed, the index and the last reason."""
 
 
