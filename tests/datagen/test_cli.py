@@ -48,7 +48,7 @@ def test_each_command_has_help(command: str, capsys: pytest.CaptureFixture[str])
         ("spp = 'many'", ["spp", "many", "integer"]),
         ("objects = [2, 8]", ["objects", "insertable"]),
         ("renderer = 'arnold'", ["renderer", "arnold", "cycles"]),
-        ("scenes = ", ["not valid TOML"]),
+        ("scenes = ", ["cannot be read as TOML"]),
     ],
 )
 def test_bad_configuration_is_one_clear_line(
