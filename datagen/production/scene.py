@@ -4,6 +4,7 @@ import os
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 from multilight.datagen.backends.protocol import Backend, RenderSettings
 from multilight.datagen.config.dataset import DatasetConfig, RendererName
@@ -21,6 +22,7 @@ from multilight.lights.rigs.sample import SPHERES_KINDS, sample_rig
 from multilight.lights.spec import EmissiveLight, EnvironmentLight, LightRig
 from multilight.scenes.assets.library import AssetError, AssetLibrary
 from multilight.scenes.files.whole import sync
+from multilight.scenes.frozen import Frozen
 from multilight.scenes.geometry.contact import check_contacts
 from multilight.scenes.kinds.custom import sample_custom
 from multilight.scenes.kinds.outdoor import sample_outdoor
@@ -32,6 +34,7 @@ from multilight.scenes.spec import MeshAsset, SceneSpec
 from multilight.scenes.still_life.sample import StillLifeSettings
 from multilight.scenes.streams import Streams
 
+S = TypeVar("S", bound=Frozen)
 ATTEMPTS = 3
 SAMPLERS = {"tabletop": sample_tabletop, "outdoor": sample_outdoor, "studio": sample_studio, "custom": sample_custom}
 
@@ -85,28 +88,20 @@ def sample_scene(config: DatasetConfig, library: AssetLibrary, streams: Streams)
         return found.scene, found.rig
     library = library.restricted(config.split_of(streams.scene))
     if kind == "room":
-        room = RoomSettings(
-            width=config.width,
-            height=config.height,
-            views=config.views,
-            insertable=config.insertable,
-            cameras=config.cameras,
-        )
-        scene = sample_room(streams, library, index=streams.scene, settings=room)
+        scene = sample_room(streams, library, index=streams.scene, settings=_settings(RoomSettings, config))
         return scene, sample_rig(streams, scene, library, lights=config.lights)
     if kind not in SAMPLERS:
         raise UserError(f"scene {streams.scene}: no sampler makes kind {kind!r}; there are {', '.join(SAMPLERS)}")
-    settings = StillLifeSettings(
-        width=config.width,
-        height=config.height,
-        views=config.views,
-        insertable=config.insertable,
-        objects=config.objects,
-        piles=config.piles if kind == "tabletop" else 0.0,
-        cameras=config.cameras,
-    )
+    settings = _settings(StillLifeSettings, config)
+    if kind != "tabletop":
+        settings = settings.model_copy(update={"piles": 0.0})
     scene = SAMPLERS[kind](streams, library, index=streams.scene, settings=settings)
     return scene, sample_rig(streams, scene, library, lights=config.lights)
+
+
+def _settings(kind: type[S], config: DatasetConfig) -> S:
+    """Return what a sampler is told: of the configuration the keys that it knows."""
+    return kind.model_validate({key: getattr(config, key) for key in kind.model_fields if hasattr(config, key)})
 
 
 def make_scene(maker: Maker, index: int) -> Made:

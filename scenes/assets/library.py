@@ -60,19 +60,19 @@ def _open(name: str, cache: Path) -> Pack:
         raise AssetError(f"pack {name!r} is not installed; run `multilight assets fetch {name}`")
     record = pack_record(name, cache)
     folder = pack_folder(name, cache) / record.get("folder", ".")
-    match SOURCES[name].manager:
-        case "apt":
+    match SOURCES[name].holds:
+        case "furniture":
             return SweetHome3dPack(folder, cache)
-        case "npm":
+        case "maps":
             return PmndrsPack(name, folder)
-        case "pip":
+        case "textures":
             return SurfacePack(name, folder, cache, SOURCES[name].licence)
 
 
 class AssetLibrary:
     """All installed assets, in a fixed order.
 
-    `cache` holds fetched packs and converted meshes (default: `$MULTILIGHT_CACHE`, else `~/.cache/multilight`).
+    `cache` holds fetched packs and converted meshes (default: see `default_cache`).
     `packs` are the names of the packs to use (default: `builtin` and every fetched one); `folders` are the
     user's own folders of models, each a pack under its folder's name; `background` is a GLB, glTF or USD scene.
     `broken` fills with what was asked for and could not be read: asset id → reason. Raises `AssetError` for a pack
@@ -114,7 +114,7 @@ class AssetLibrary:
         """Return a view that lists, and hands out, only what scenes of a split may show (see `assets.splits`)."""
         view = copy.copy(self)
         view.split = split
-        view.__dict__["_infos"] = {asset: info for asset, info in self._infos.items() if in_split(info, split)}
+        view._infos = {asset: info for asset, info in self._infos.items() if in_split(info, split)}
         return view
 
     def list(self, role: AssetRole) -> tuple[AssetInfo, ...]:
