@@ -4,12 +4,11 @@ import dataclasses
 import math
 import sys
 from collections.abc import Mapping
-from typing import Annotated, Any, Union
+from typing import Any
 
 import tyro
 
-from multilight.datagen.commands import export, import_scene, installed, make, pack, query
-from multilight.datagen.commands import inspect as look
+from multilight.datagen.commands import export, import_scene, inspect, installed, make, pack, query
 from multilight.datagen.commands.terminal import (
     PIPE_BROKEN,
     EndedError,
@@ -34,10 +33,10 @@ STOPPED = "stopped; the same command goes on where it was"
 COMMANDS: dict[str, type] = {
     "dataset": make.Dataset,
     "scene": make.Scene,
-    "verify": look.Verify,
-    "mix": look.Mix,
-    "sheet": look.Sheet,
-    "stats": look.Stats,
+    "verify": inspect.Verify,
+    "mix": inspect.Mix,
+    "sheet": inspect.Sheet,
+    "stats": inspect.Stats,
     "query": query.Query,
     "export": export.Export,
     "import": import_scene.Import,
@@ -65,14 +64,8 @@ def main(arguments: list[str] | None = None, commands: Mapping[str, type] = COMM
         if not word.isascii() and word.encode(errors="replace").decode() != word:  # native libraries cannot open it
             print(f"error: {one_line(word)} is no text in UTF-8; rename it", file=sys.stderr)
             return 2
-    choices: Any = tuple(Annotated[kind, tyro.conf.subcommand(name)] for name, kind in commands.items())
-    every: Any = Union[choices]  # noqa: UP007  (made at run time)
-    command = tyro.cli(
-        every,
-        args=words,
-        prog="multilight",
-        description=ABOUT,
-        config=(tyro.conf.OmitArgPrefixes,),
+    command = tyro.extras.subcommand_cli_from_dict(
+        dict(commands), args=words, prog="multilight", description=ABOUT, config=(tyro.conf.OmitArgPrefixes,)
     )
     try:
         check_memory()

@@ -81,7 +81,7 @@ class DatasetConfig(Settings):
     objects: tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(le=8)]] = (4, 8)
     """Fewest and most objects of the still life."""
     piles: UnitFloat = 0.1
-    """Share of the tabletops with a pile besides: a bowl of fruit, a stack of books or crockery, a heap of toys."""
+    """Probability of a pile on a tabletop: a bowl of fruit, a stack of books or crockery, a heap of toys."""
     lights: tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(le=8)]] = (1, 8)
     """Fewest and most lights of a rig; what glows counts."""
     cameras: CameraSettings = CameraSettings()

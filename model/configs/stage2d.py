@@ -92,7 +92,7 @@ class StageConfig(Settings):
     """A stretch of the training with pictures of one size."""
 
     until: UnitFloat = 1.0
-    """Share of the training at which the stretch ends; that of the last must be 1."""
+    """Fraction of the training at which the stretch ends; that of the last must be 1."""
     size: Annotated[int, Field(ge=16, le=4096, json_schema_extra={"unit": "px"})] = 256
     """Side of the pictures."""
     batch: Annotated[int, Field(ge=1, le=65536)] = 8
@@ -119,7 +119,7 @@ class TrainingConfig(Settings):
     learning_rate: Positive = 1e-3
     """Largest learning rate."""
     final_rate: UnitFloat = 0.02
-    """Learning rate at the end, as a share of the largest."""
+    """Learning rate at the end, as a fraction of the largest."""
     warmup: Annotated[int, Field(ge=0)] = 100
     """Steps in which the learning rate rises to its largest."""
     betas: tuple[UnitFloat, UnitFloat] = (0.9, 0.95)
