@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from multilight.datagen.commands.make import make_scenes, of
+from multilight.datagen.commands.make import config_key, make_scenes
 from multilight.datagen.config.dataset import Denoise, Renderer, load_config
 
 
@@ -20,9 +20,9 @@ class Import:
     """The stage (.usdc, .usda, .usd). Other USD files serve as backgrounds: `dataset --kind custom --background`."""
     out: Path = field(kw_only=True)
     """Folder of the dataset of this one scene."""
-    renderer: Annotated[Renderer | None, of("renderer")] = None
-    spp: Annotated[int | None, of("spp")] = None
-    denoise: Annotated[Denoise | None, of("denoise")] = None
+    renderer: Annotated[Renderer | None, config_key("renderer")] = None
+    spp: Annotated[int | None, config_key("spp")] = None
+    denoise: Annotated[Denoise | None, config_key("denoise")] = None
     assets: tuple[Path, ...] = ()
     """Folders of your own models that the scene uses; what is missing is taken from the stage."""
 

@@ -15,7 +15,7 @@ from multilight.datagen.errors import StoreError, UserError
 from multilight.datagen.text import plain
 
 
-def of(key: str) -> Any:
+def config_key(key: str) -> Any:
     """Describe an option that sets a key of the configuration, in the key's own words."""
     field = DatasetConfig.model_fields[key]
     words = " ".join((field.description or "").split())
@@ -32,16 +32,16 @@ class _Options:
     """Named starting point; `multilight config show PRESET` prints it. What else is given goes over it."""
     config: Path | None = None
     """TOML file with any of the values that `multilight config show` lists."""
-    seed: Annotated[int | None, of("seed")] = None
-    kind: Annotated[Kind | Literal["mixed"] | None, of("kind")] = None
-    background: Annotated[Path | None, of("background")] = None
-    renderer: Annotated[Renderer | None, of("renderer")] = None
-    width: Annotated[int | None, of("width")] = None
-    height: Annotated[int | None, of("height")] = None
-    views: Annotated[int | None, of("views")] = None
-    spp: Annotated[int | None, of("spp")] = None
-    denoise: Annotated[Denoise | None, of("denoise")] = None
-    keep_raw: Annotated[bool, tyro.conf.FlagCreatePairsOff, of("keep_raw")] = False
+    seed: Annotated[int | None, config_key("seed")] = None
+    kind: Annotated[Kind | Literal["mixed"] | None, config_key("kind")] = None
+    background: Annotated[Path | None, config_key("background")] = None
+    renderer: Annotated[Renderer | None, config_key("renderer")] = None
+    width: Annotated[int | None, config_key("width")] = None
+    height: Annotated[int | None, config_key("height")] = None
+    views: Annotated[int | None, config_key("views")] = None
+    spp: Annotated[int | None, config_key("spp")] = None
+    denoise: Annotated[Denoise | None, config_key("denoise")] = None
+    keep_raw: Annotated[bool, tyro.conf.FlagCreatePairsOff, config_key("keep_raw")] = False
     assets: tuple[Path, ...] = ()
     """Folders of your own GLB, glTF or OBJ models to use besides the installed packs."""
 
@@ -66,7 +66,7 @@ class Dataset(_Options):
     Settings that are not given are those of the dataset where it is there already.
     """
 
-    scenes: Annotated[int | None, of("scenes")] = None
+    scenes: Annotated[int | None, config_key("scenes")] = None
     workers: int | None = None
     """Worker processes (default: one a core)."""
     repair: bool = False

@@ -98,6 +98,15 @@ def test_config_show(capsys: pytest.CaptureFixture[str]) -> None:
     assert "cameras.min_visible_share" in capsys.readouterr().out
 
 
+def test_options_are_described_as_the_keys_they_set(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["dataset", "--help"])
+    shown = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    for key in ("scenes", "seed", "kind", "spp"):
+        field = DatasetConfig.model_fields[key]
+        assert f"{' '.join((field.description or '').split())} (default: {field.default})" in shown
+
+
 def test_unknown_kinds_are_refused() -> None:
     with pytest.raises(ValidationError, match="kind"):
         DatasetConfig(kind="moon")
