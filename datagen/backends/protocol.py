@@ -7,6 +7,7 @@ from pydantic import PositiveInt
 
 from multilight.datagen.storage.layers import LayerStack
 from multilight.lights.spec import LightRig
+from multilight.scenes.errors import MultilightError
 from multilight.scenes.frozen import Frozen
 from multilight.scenes.spec import Camera, SceneSpec
 
@@ -42,7 +43,7 @@ class Backend(Protocol):
         ...
 
 
-class BackendError(RuntimeError):
+class BackendError(MultilightError):
     """The renderer cannot do what was asked: names the value and the remedy."""
 
 

@@ -32,48 +32,48 @@ TIMEOUT = 1800.0
 
 @dataclass(frozen=True)
 class Source:
-    """Where a pack comes from, and what it holds; `sha256` is the archive's at the pinned version."""
+    """What a pack holds and where it comes from; `sha256` is the archive's at the pinned version."""
 
+    holds: Literal["furniture", "maps", "textures"]
     manager: Literal["apt", "pip", "npm"]
     package: str
     version: str
     sha256: str
     licence: str
-    holds: Literal["furniture", "maps", "textures"]
 
 
 SOURCES: dict[str, Source] = {
     "sweethome3d": Source(
+        "furniture",
         "apt",
         "sweethome3d-furniture",
         "1.8-1",
         "3ccb90c63f9525e887a767b9cd5c8b6933b8b6b2973a615a5359ee68a2118668",
         "CC0-1.0 and CC-BY-3.0, by model",
-        "furniture",
     ),
     "hdri-pmndrs": Source(
+        "maps",
         "npm",
         "@pmndrs/assets",
         "1.7.0",
         "152bd218a3390703f184f0c6ce16e73c8f0a87f32d38530d418a09d33d8208dc",
         "CC0-1.0",
-        "maps",
     ),
     "textures-miniworld": Source(
+        "textures",
         "pip",
         "miniworld",
         "2.1.0",
         "40d7d241f7e0067d9280af38520269fca119bd65fca7f3fea373f39412b6e98f",
         "Apache-2.0",
-        "textures",
     ),
     "textures-metaworld": Source(
+        "textures",
         "pip",
         "metaworld",
         "3.1.1",
         "99e25d9baf97f2f1a19ca89c0d2ca9c6a2b396d9a9be81729de64eedc683f0d3",
         "MIT",
-        "textures",
     ),
 }
 DEFAULT_PACKS = tuple(SOURCES)
@@ -121,9 +121,9 @@ def fetch_pack(name: str, cache: Path | None = None) -> Path:
     staging = target.with_name(f".{name}-{uuid.uuid4().hex}.tmp")
     try:
         staging.mkdir(parents=True)
-        installed = _installed_furniture() if source.holds == "furniture" else None
+        installed = _installed_furniture() if source.manager == "apt" else None
         if installed is not None:
-            _write_record(staging, source, version="installed", sha256="", folder_of_files=installed)
+            _write_record(staging, source, version="installed", sha256="", files=installed)
         else:
             _download_and_unpack(name, source, staging)
         if target.exists() and not _is_whole(name, cache):
@@ -143,25 +143,17 @@ def _installed_furniture() -> Path | None:
     return folder if all((folder / f"{library}.sh3f").is_file() for library in LICENCES) else None
 
 
-def _write_record(folder: Path, source: Source, *, version: str, sha256: str, folder_of_files: Path) -> None:
-    write_json(
-        folder / "pack.json",
-        {
-            "package": source.package,
-            "version": version,
-            "sha256": sha256,
-            "licence": source.licence,
-            "folder": str(folder_of_files),
-        },
-    )
+def _write_record(folder: Path, source: Source, *, version: str, sha256: str, files: Path) -> None:
+    about = {"package": source.package, "version": version, "sha256": sha256, "licence": source.licence}
+    write_json(folder / "pack.json", about | {"folder": str(files)})
 
 
 def _download_and_unpack(name: str, source: Source, staging: Path) -> None:
     download: dict[str, Callable[[Source, Path], None]] = {"apt": _apt, "pip": _pip, "npm": _npm}
     unpack: dict[str, Callable[[str, Path, Path], None]] = {
         "furniture": _unpack_furniture,
-        "textures": _unpack_textures,
         "maps": _unpack_maps,
+        "textures": _unpack_textures,
     }
     with tempfile.TemporaryDirectory(dir=staging.parent, prefix=f".{name}-") as folder:
         scratch = Path(folder)
@@ -177,7 +169,7 @@ def _download_and_unpack(name: str, source: Source, staging: Path) -> None:
             unpack[source.holds](name, archive, staging)
         except (zipfile.BadZipFile, tarfile.TarError, KeyError, UnicodeDecodeError) as error:
             raise AssetError(f"{archive.name} cannot be unpacked: {error}") from error
-    _write_record(staging, source, version=version, sha256=digest, folder_of_files=Path("."))
+    _write_record(staging, source, version=version, sha256=digest, files=Path("."))
 
 
 def run_client(command: list[str], folder: Path, *, what: str) -> str:

@@ -46,7 +46,7 @@ def _open(name: str, cache: Path) -> Pack:
 class AssetLibrary:
     """All installed assets, in a fixed order.
 
-    `cache` holds fetched packs and converted meshes (default: `$MULTILIGHT_CACHE`, else `~/.cache/multilight`).
+    `cache` holds fetched packs and converted meshes (default: see `default_cache`).
     `packs` are the names of the packs to use (default: `builtin` and every fetched one); `folders` are the
     user's own folders of models, each a pack under its folder's name; `background` is a GLB, glTF or USD scene.
     `broken` fills with what was asked for and could not be read: asset id → reason. Raises `AssetError` for a pack

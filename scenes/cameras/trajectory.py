@@ -19,6 +19,7 @@ from multilight.scenes.cameras.paths import (
     draw_path,
 )
 from multilight.scenes.cameras.pinhole import project, with_depth_of_field
+from multilight.scenes.errors import MultilightError
 from multilight.scenes.geometry.rays import SceneRays
 from multilight.scenes.poses import box_centre, translation
 from multilight.scenes.spec import Camera
@@ -41,7 +42,7 @@ CLOSER = frozenset({"approach", "random"})
 _POINT = box((1e-4, 1e-4, 1e-4))
 
 
-class TrajectoryError(RuntimeError):
+class TrajectoryError(MultilightError):
     """No path shows the objects well enough."""
 
 

@@ -250,7 +250,7 @@ def test_curated_tables_are_consistent() -> None:
     assert {row["role"] for row in rows} == {"object", "table"}
     with TEXTURE_TABLE.open(encoding="utf-8", newline="") as file:
         packs = {row["pack"] for row in csv.DictReader(file)}
-    assert packs == {name for name, source in SOURCES.items() if source.holds == "textures"}
+    assert packs == {name for name, source in SOURCES.items() if source.manager == "pip"}
 
 
 def entry(name: str, *, opacity: float = 1.0, diffuse: tuple[float, float, float] = (0.6, 0.6, 0.6)) -> MtlEntry:
@@ -397,7 +397,7 @@ def fake_wheel(path: Path, *, skip: int = 0) -> None:
 
 def use_wheel(monkeypatch: pytest.MonkeyPatch, wheel: Path, *, sha256: str | None = None) -> None:
     digest = sha256 or hashlib.sha256(wheel.read_bytes()).hexdigest()
-    source = fetch.Source("pip", "miniworld", "2.1.0", digest, "Apache-2.0", "textures")
+    source = fetch.Source("textures", "pip", "miniworld", "2.1.0", digest, "Apache-2.0")
     monkeypatch.setitem(fetch.SOURCES, "textures-miniworld", source)
     monkeypatch.setattr(fetch, "_pip", lambda source, scratch: shutil.copy(wheel, scratch / wheel.name))
 
