@@ -4,7 +4,7 @@ That all files are there, whole and unchanged, is checked by `datagen.verificati
 """
 
 from collections.abc import Callable, Collection, Iterator
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from scipy.ndimage import binary_erosion
 
 from multilight.datagen.errors import StoreError
 from multilight.datagen.storage.records import SceneRecord
-from multilight.datagen.storage.store import ViewData, as_stored, file_inside, file_sha256, read_scene, read_view
+from multilight.datagen.storage.store import ViewData, as_stored, file_sha256, read_view
 from multilight.datagen.tuples import compose
 from multilight.datagen.tuples.exposure import BRIGHT, DARK
 from multilight.datagen.verification.residuals import SIDES, residual
@@ -54,16 +54,6 @@ CHECKS = (
     "removal",
     "reprojection",
 )
-
-
-def verify_scene(folder: Path) -> list[Fault]:
-    """Check one scene's folder and return its faults (none: the scene is sound)."""
-    try:
-        record = read_scene(folder)
-    except StoreError as error:
-        index = int(folder.name) if folder.name.isdigit() else -1
-        return [Fault(index, None, "files", str(error))]
-    return verify_views(record, lambda name: nullcontext(file_inside(folder, name)))
 
 
 Lend = Callable[[str], AbstractContextManager[Path]]

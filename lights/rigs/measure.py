@@ -13,16 +13,13 @@ from multilight.lights.spec import (
     EmissiveLight,
     EnvironmentLight,
     Light,
-    LightRig,
     PointLight,
     SpotLight,
     SunLight,
 )
 from multilight.scenes.arrays import Float64
-from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.colour import luminance
 from multilight.scenes.frozen import Rgb
-from multilight.scenes.spec import SceneSpec
 
 
 @dataclass(frozen=True)
@@ -46,31 +43,6 @@ class LightMeasure:
     temperature: float
     saturation: float
     shaped: bool
-
-
-@dataclass(frozen=True)
-class RigMeasure:
-    """All lights of a rig, and the ratio of its strongest to all others together as a dome meter reads them.
-
-    Glowing bodies light what is next to them and count in neither; `key_to_fill` is infinite for a single light, and
-    `key` None where all lights glow.
-    """
-
-    lights: tuple[LightMeasure, ...]
-    key: str | None
-    key_to_fill: float
-
-
-def measure_rig(scene: SceneSpec, rig: LightRig, library: AssetLibrary) -> RigMeasure:
-    """Measure a rig in its scene; reads the environment maps and the meshes that the scene uses."""
-    place = StillLife.of(scene, library)
-    lights = tuple(measure_light(light, place) for light in rig.lights)
-    counted = [light for light in lights if light.kind != "emissive"]
-    if not counted:
-        return RigMeasure(lights, None, 0.0)
-    key = max(counted, key=lambda light: light.dome)
-    rest = sum(light.dome for light in counted) - key.dome
-    return RigMeasure(lights, key.name, key.dome / rest if rest > 0 else float("inf"))
 
 
 def measure_light(light: Light, place: StillLife) -> LightMeasure:

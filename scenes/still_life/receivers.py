@@ -27,7 +27,6 @@ SHARES: dict[ReceiverKind, float] = {
     "glass top": 0.03, "glass plate": 0.03, "stone plate": 0.04, "lacquer top": 0.05,
 }  # fmt: skip
 """How often each comes: 15 % of the scenes have a mirror, another 15 % glass or a polish nearly as smooth."""
-MIRRORS = frozenset({"mirror top", "mirror plate", "chrome tray", "standing mirror"})
 LOOSE = frozenset({"mirror plate", "glass plate", "stone plate", "chrome tray", "standing mirror"})
 """What stands on a surface, rather than being it."""
 GAP = 0.0004

@@ -10,7 +10,7 @@ from multilight.lights.photometry.irradiance import StillLife, map_directions
 from multilight.lights.rigs.balance import FAINTEST
 from multilight.lights.rigs.daylight import overcast, sun_and_sky
 from multilight.lights.rigs.design import RATIOS, SIZES, RigDesign, rig_design
-from multilight.lights.rigs.measure import LightMeasure, measure_light, measure_rig
+from multilight.lights.rigs.measure import LightMeasure, measure_light
 from multilight.lights.rigs.sample import ALL_KINDS, SPHERES_KINDS, sample_rig, scaled
 from multilight.lights.spec import (
     AreaLight,
@@ -100,7 +100,7 @@ def test_the_ratio_of_key_to_fill_is_the_designed_one(
 def test_the_key_comes_from_where_it_was_designed(lit: list[tuple[SceneSpec, LightRig]], library: AssetLibrary) -> None:
     off = []
     for i, (scene, rig) in enumerate(lit):
-        design, key = rig_design(Streams(11, i)), measure_rig(scene, rig, library).lights[0]
+        design, key = rig_design(Streams(11, i)), measure_light(rig.lights[0], StillLife.of(scene, library))
         if key.kind in ("point", "spot", "area"):
             off.append(abs(float(np.angle(np.exp(1j * (key.azimuth - design.azimuth))))))
     assert len(off) > 4
@@ -285,17 +285,6 @@ def test_measures_of_plain_lights(spheres: StillLife) -> None:
     narrow = EnvironmentLight(name="e", map="builtin/sky-25-3", rotation=azimuth)
     assert 0.3 < measured(spheres, narrow).angular_size < sky.angular_size
     assert abs(measured(spheres, narrow).azimuth - 1.0) < 0.05
-
-
-def test_rig_measures_count_the_strongest_as_key(lit: list[tuple[SceneSpec, LightRig]], library: AssetLibrary) -> None:
-    scene, rig = lit[0]
-    result = measure_rig(scene, rig, library)
-    assert [light.name for light in result.lights] == list(rig.names)
-    counted = [light for light in result.lights if light.kind != "emissive"]
-    key = max(counted, key=lambda light: light.dome)
-    assert result.key == key.name
-    if len(counted) > 1:
-        assert result.key_to_fill == pytest.approx(key.dome / (sum(c.dome for c in counted) - key.dome))
 
 
 # --- other kinds of scenes ---

@@ -23,7 +23,7 @@ from multilight.scenes.materials import (
 )
 from multilight.scenes.materials.emission import EMISSIONS, emission_of, part_area, sample_glow
 from multilight.scenes.spec import Material, Texture
-from multilight.scenes.still_life.receivers import LOOSE, MIRRORS, SHARES, choose_receiver, receiver_material
+from multilight.scenes.still_life.receivers import LOOSE, SHARES, ReceiverKind, choose_receiver, receiver_material
 
 
 @pytest.fixture(scope="module")
@@ -175,13 +175,14 @@ def test_screens_are_pictures_and_repeatable(name: str) -> None:
 
 
 def test_receivers_come_as_often_as_stated() -> None:
+    mirrors: tuple[ReceiverKind, ...] = ("mirror top", "mirror plate", "chrome tray", "standing mirror")
     assert sum(SHARES.values()) == pytest.approx(1.0)
-    assert sum(SHARES[kind] for kind in SHARES if kind in MIRRORS) == pytest.approx(0.15)
+    assert sum(SHARES[kind] for kind in SHARES if kind in mirrors) == pytest.approx(0.15)
     rng = np.random.default_rng(0)
     drawn = [choose_receiver(rng) for _ in range(2000)]
-    assert np.mean([kind in MIRRORS for kind in drawn]) == pytest.approx(0.15, abs=0.03)
+    assert np.mean([kind in mirrors for kind in drawn]) == pytest.approx(0.15, abs=0.03)
     assert {choose_receiver(rng, loose=True) for _ in range(500)} <= LOOSE | {"none"}
-    for kind in MIRRORS:
+    for kind in mirrors:
         made = receiver_material(rng, kind)
         assert made.metallic == 1
         assert made.roughness <= 0.12
