@@ -4,22 +4,53 @@ Colours are scene-linear, Rec.709 primaries, D65. Lights other than the environm
 never seen by the camera directly; reflections show those that have a size.
 """
 
-from typing import Annotated, Literal
+import math
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, PositiveFloat, model_validator
 
+from multilight.scenes.colour import luminance
 from multilight.scenes.frozen import Frozen, Matrix4, Rgb, Slug, Vector3
 from multilight.scenes.spec import Texture
 
 NonNegative = Annotated[float, Field(ge=0)]
 
 
+Quantity = Literal["radiance", "intensity", "irradiance"]
+
+
 class _Light(Frozen):
-    """What every light records: its name and, for statistics, where its colour came from."""
+    """What every light records: its name and, for statistics, where its colour came from.
+
+    `quantity` names the field that says how strong it is.
+    """
+
+    quantity: ClassVar[Quantity] = "radiance"
 
     name: Slug
     colour_temperature: float | None = None
     gel: str | None = None
+
+    @property
+    def amount(self) -> Rgb:
+        """What it carries by channel, in the unit of its quantity."""
+        red, green, blue = getattr(self, self.quantity)
+        return red, green, blue
+
+    @property
+    def grey(self) -> float:
+        """The luminance of its amount, in the same unit."""
+        return float(luminance(self.amount))
+
+    @property
+    def is_shaped(self) -> bool:
+        """Whether it throws a pattern (gobo), has a beam profile or shows a picture."""
+        return any(getattr(self, name, None) for name in ("gobo", "profile", "texture"))
+
+    def scaled(self, factor: float) -> Self:
+        """Return the same light `factor` times as strong."""
+        red, green, blue = self.amount
+        return self.model_copy(update={self.quantity: (red * factor, green * factor, blue * factor)})
 
 
 class EnvironmentLight(_Light):
@@ -39,6 +70,8 @@ class EnvironmentLight(_Light):
 class SunLight(_Light):
     """Parallel light: `irradiance` [W/m²] on a surface that faces it; `angle` is the disc's diameter [rad]."""
 
+    quantity = "irradiance"
+
     kind: Literal["sun"] = "sun"
     direction: Vector3
     """The way the light travels, in world axes (any length but zero)."""
@@ -52,6 +85,8 @@ class PointLight(_Light):
     A `profile` makes it depend on the angle from `direction`: relative intensities, at most 1, at evenly spaced
     angles from 0 to pi, linear in between (as an IES luminaire file gives them, averaged about the axis).
     """
+
+    quantity = "intensity"
 
     kind: Literal["point"] = "point"
     position: Vector3
@@ -68,6 +103,8 @@ class SpotLight(_Light):
     cone, with Blender's smoothstep fall-off. A `gobo` (asset id of an image, read as linear) multiplies it: the
     image's square is the one round the cone, seen from the light, its top turned by `roll` [rad] from world up.
     """
+
+    quantity = "intensity"
 
     kind: Literal["spot"] = "spot"
     position: Vector3
@@ -92,6 +129,17 @@ class AreaLight(_Light):
     height: PositiveFloat
     world_from_light: Matrix4
     radiance: Rgb
+
+    @property
+    def position(self) -> Vector3:
+        """Its centre."""
+        x, y, z = (row[3] for row in self.world_from_light[:3])
+        return x, y, z
+
+    @property
+    def area(self) -> float:
+        """Its area [m²]."""
+        return self.width * self.height * (math.pi / 4 if self.shape == "disk" else 1.0)
 
 
 class EmissiveLight(_Light):

@@ -150,7 +150,6 @@ def _lights(record: SceneRecord) -> dict[str, Any]:
     shares = light_shares(record)
     strongest = max(shares)
     shaping = [size for size, share in zip(sizes, shares, strict=True) if size is not None and share >= KEY_SHARE]
-    patterned = ("gobo", "profile", "texture")
     return {
         "lights": list(record.rig.names),
         "light_kinds": [light.kind for light in lights],
@@ -159,7 +158,7 @@ def _lights(record: SceneRecord) -> dict[str, Any]:
         "temperatures_k": [light.colour_temperature for light in lights],
         "gels": sorted({light.gel for light in lights if light.gel}),
         "emissive": any(light.kind == "emissive" for light in lights),
-        "patterned": any(getattr(light, key, None) for light in lights for key in patterned),
+        "patterned": any(light.is_shaped for light in lights),
         "contrast_ev": round(float(np.log2(strongest / (1.0 - strongest))), 2) if 0 < strongest < 1 else None,
         "hardest_deg": min(shaping, default=None),
     }

@@ -13,7 +13,7 @@ from multilight.datagen.usd.layout import own
 from multilight.lights.photometry.directions import spot_frame
 from multilight.lights.spec import AreaLight, EmissiveLight, EnvironmentLight, Light, PointLight, SpotLight, SunLight
 from multilight.scenes.assets.formats.usd.names import IMAGE
-from multilight.scenes.frozen import Rgb, Vector3
+from multilight.scenes.frozen import Vector3
 
 _TYPES = Sdf.ValueTypeNames
 POINT_RADIUS = 0.001
@@ -24,29 +24,29 @@ def add_light(stage: Any, path: str, light: Light, files: Files) -> LampDial:
     """Write a light other than an emissive one, its strength left to the variants; return what they turn."""
     match light:
         case EnvironmentLight():
-            made, level = _dome(stage, path, light, files)
+            made = _dome(stage, path, light, files)
         case SunLight():
             made = UsdLux.DistantLight.Define(stage, path)
             made.CreateAngleAttr(math.degrees(light.angle))
             made.CreateNormalizeAttr(True)
             _place(made, (0.0, 0.0, 0.0), spot_frame(light.direction))
-            level = photometric(light.irradiance)
         case AreaLight():
-            made, level = _area(stage, path, light), photometric(light.radiance)
+            made = _area(stage, path, light)
         case PointLight():
-            made, level = _sphere(stage, path, light), photometric(light.intensity)
+            made = _sphere(stage, path, light)
             _place(made, light.position, spot_frame(light.direction))
             if light.profile is not None:
                 _profile(made, light.profile, files)
         case SpotLight():
-            made, level = _sphere(stage, path, light), photometric(light.intensity)
+            made = _sphere(stage, path, light)
             _place(made, light.position, spot_frame(light.direction, light.roll))
             _cone(made, light, files)
         case EmissiveLight():
             raise TypeError(f"light {light.name!r} is a material, not a UsdLux light")
     _describe(made.GetPrim(), light)
     strength = _per_luminance(light)
-    level = (level[0] * strength, level[1] * strength, level[2] * strength)
+    red, green, blue = photometric(light.amount)
+    level = (red * strength, green * strength, blue * strength)
     return LampDial(light.name, made.CreateIntensityAttr(), made.CreateColorAttr(), level)
 
 
@@ -71,7 +71,7 @@ def _describe(prim: Any, light: Light) -> None:
         prim.CreateAttribute(own("gel"), _TYPES.String, custom=True).Set(light.gel)
 
 
-def _dome(stage: Any, path: str, light: EnvironmentLight, files: Files) -> tuple[Any, Rgb]:
+def _dome(stage: Any, path: str, light: EnvironmentLight, files: Files) -> Any:
     """Write a dome: its pole (+Y) upright, its middle (+Z) where the map's centre column looks."""
     made = UsdLux.DomeLight.Define(stage, path)
     turned = math.cos(light.rotation), math.sin(light.rotation)
@@ -81,7 +81,7 @@ def _dome(stage: Any, path: str, light: EnvironmentLight, files: Files) -> tuple
         made.CreateTextureFileAttr(files.environment(light.map))
         made.CreateTextureFormatAttr(UsdLux.Tokens.latlong)
         made.GetPrim().CreateAttribute(IMAGE, _TYPES.String, custom=True).Set(light.map)
-    return made, photometric(light.radiance)
+    return made
 
 
 def _area(stage: Any, path: str, light: AreaLight) -> Any:

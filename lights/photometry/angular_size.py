@@ -23,6 +23,5 @@ def angular_diameter(light: Light, place: ArrayLike) -> float | None:
             way = pose[:3, 3] - np.asarray(place)
             distance = float(np.linalg.norm(way))
             cosine = abs(float(pose[:3, 2] @ way)) / distance
-            area = light.width * light.height * (np.pi / 4 if light.shape == "disk" else 1.0) * cosine
-            return 2.0 * float(np.arctan(np.sqrt(area / np.pi) / distance))
+            return 2.0 * float(np.arctan(np.sqrt(light.area * cosine / np.pi) / distance))
     return None

@@ -108,11 +108,11 @@ class StillLife:
                 return self._sky_irradiance(light, meter)
             case SunLight():
                 direction = np.array(light.direction)
-                return _grey(light.irradiance) * float(meter(-direction[2] / np.linalg.norm(direction)))
+                return light.grey * float(meter(-direction[2] / np.linalg.norm(direction)))
             case PointLight() | SpotLight():
                 way = np.array(light.position) - self.foot
                 distance = float(np.linalg.norm(way))
-                intensity = _grey(light.intensity) * self._share_towards(light, -way / distance)
+                intensity = light.grey * self._share_towards(light, -way / distance)
                 return intensity * float(meter(way[2] / distance)) / distance**2
             case AreaLight():
                 return self._area_irradiance(light, meter)
@@ -152,8 +152,7 @@ class StillLife:
         distance = np.linalg.norm(way, axis=1)
         emitted = np.maximum(way @ -pose[:3, 2] / distance, 0.0)
         received = meter(-way[:, 2] / distance)
-        area = light.width * light.height * (np.pi / 4 if light.shape == "disk" else 1.0)
-        return float(_grey(light.radiance) * area * (emitted * received / distance**2).mean())
+        return float(light.grey * light.area * (emitted * received / distance**2).mean())
 
     def _glow_irradiance(self, light: EmissiveLight) -> float:
         """Sum over the triangles of the glowing part, as if nothing stood in between."""
@@ -167,7 +166,7 @@ class StillLife:
         distance = np.linalg.norm(way, axis=-1)
         emitted = np.maximum((way * normal).sum(axis=-1), 0.0) / distance
         received = np.maximum(-way[..., 2], 0.0) / distance
-        return float(_grey(light.radiance) * (emitted * received / distance**2).sum(axis=1).mean())
+        return float(light.grey * (emitted * received / distance**2).sum(axis=1).mean())
 
     def glowing_triangles(self, light: EmissiveLight) -> Float64:
         """Return the triangles (F, 3, 3) of the part that glows, in the world."""
@@ -220,8 +219,3 @@ def _plate(cosine: Float64) -> Float64:
 
 def _dome(cosine: Float64) -> Float64:
     return (1.0 + cosine) / 2.0
-
-
-def _grey(colour: tuple[float, float, float]) -> float:
-    """Return the luminance of one RGB value."""
-    return float(luminance(np.array(colour)))

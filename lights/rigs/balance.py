@@ -7,8 +7,7 @@ import numpy as np
 
 from multilight.lights.photometry.irradiance import StillLife
 from multilight.lights.photometry.radiometry import photometric_from_watts, watts_from_photometric
-from multilight.lights.spec import AreaLight, EmissiveLight, EnvironmentLight, Light, PointLight, SpotLight, SunLight
-from multilight.scenes.frozen import Rgb
+from multilight.lights.spec import AreaLight, Light, PointLight, SpotLight
 
 LUMENS = (15.0, 40_000.0)
 """Luminous flux of a key lamp [lm]: from a candle to a large studio head."""
@@ -51,31 +50,16 @@ def balance(key: Light, others: Sequence[Share], place: StillLife, *, key_to_fil
     fills = [(share, place.dome_irradiance(share.light)) for share in others if share.unit is None]
     fills = [(share, unit) for share, unit in fills if unit > 1e-9]
     total = sum(share.strength for share, _ in fills)
-    result = [scaled(key, factor)]
+    result = [key.scaled(factor)]
     for share in others:
         if share.fixed:
             result.append(share.light)
             continue
         if share.unit is not None:
-            result.append(scaled(share.light, level * share.strength / max(share.unit, 1e-9)))
+            result.append(share.light.scaled(level * share.strength / max(share.unit, 1e-9)))
             continue
         for fill, unit in fills:
             if fill is share:
                 wanted = max(share.strength / total / key_to_fill, FAINTEST)
-                result.append(scaled(share.light, level * wanted / unit))
+                result.append(share.light.scaled(level * wanted / unit))
     return result
-
-
-def scaled(light: Light, factor: float) -> Light:
-    """Return the same light `factor` times as strong."""
-    match light:
-        case EnvironmentLight() | AreaLight() | EmissiveLight():
-            return light.model_copy(update={"radiance": _times(light.radiance, factor)})
-        case SunLight():
-            return light.model_copy(update={"irradiance": _times(light.irradiance, factor)})
-        case PointLight() | SpotLight():
-            return light.model_copy(update={"intensity": _times(light.intensity, factor)})
-
-
-def _times(colour: Rgb, factor: float) -> Rgb:
-    return colour[0] * factor, colour[1] * factor, colour[2] * factor

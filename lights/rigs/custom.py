@@ -8,7 +8,6 @@ import numpy as np
 
 from multilight.lights.photometry.irradiance import StillLife
 from multilight.lights.photometry.radiometry import watts_from_photometric
-from multilight.lights.rigs.balance import scaled
 from multilight.lights.rigs.design import RigDesign
 from multilight.lights.rigs.tabletop import LightKind, glow_share, tabletop_rig
 from multilight.lights.spec import (
@@ -53,7 +52,7 @@ def custom_rig(rng: np.random.Generator, place: StillLife, design: RigDesign, *,
     glow = glow_share(rng, place)
     if glow is not None and glow.unit:
         strength = float(level.max()) * glow.strength / glow.unit
-        rig.append(scaled(glow.light, strength).model_copy(update={"name": _name("glow", {r.name for r in rig})}))
+        rig.append(glow.light.scaled(strength).model_copy(update={"name": _name("glow", {r.name for r in rig})}))
     return LightRig(lights=tuple(rig))
 
 

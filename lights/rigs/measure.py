@@ -50,7 +50,6 @@ def measure_light(light: Light, place: StillLife) -> LightMeasure:
     towards, size = _extent(light, place)
     temperature, saturation = temperature_of(_colour(light, place))
     azimuth = float(np.arctan2(towards[1], towards[0])) - place.camera
-    shaped = bool(getattr(light, "gobo", None) or getattr(light, "profile", None) or getattr(light, "texture", None))
     return LightMeasure(
         name=light.name,
         kind=light.kind,
@@ -61,7 +60,7 @@ def measure_light(light: Light, place: StillLife) -> LightMeasure:
         dome=photometric_from_watts(place.dome_irradiance(light)),
         temperature=temperature,
         saturation=saturation,
-        shaped=shaped,
+        shaped=light.is_shaped,
     )
 
 
@@ -73,24 +72,14 @@ def _extent(light: Light, place: StillLife) -> tuple[Float64, float]:
         case SunLight() | PointLight() | SpotLight() | AreaLight():
             size = angular_diameter(light, place.foot)
             assert size is not None
-            return _way(light, place), size
+            towards = -np.array(light.direction) if isinstance(light, SunLight) else light.position - place.foot
+            return np.asarray(towards / np.linalg.norm(towards)), size
         case EmissiveLight():
             points = place.glowing_triangles(light).reshape(-1, 3)
             way = points.mean(axis=0) - place.aim
             distance = max(float(np.linalg.norm(way)), 1e-6)
             reach = float(np.linalg.norm(points - points.mean(axis=0), axis=1).max())
             return way / distance, 2.0 * float(np.arctan(reach / distance))
-
-
-def _way(light: SunLight | PointLight | SpotLight | AreaLight, place: StillLife) -> Float64:
-    match light:
-        case SunLight():
-            way = -np.array(light.direction)
-        case PointLight() | SpotLight():
-            way = np.array(light.position) - place.foot
-        case AreaLight():
-            way = np.array(light.world_from_light)[:3, 3] - place.foot
-    return np.asarray(way / np.linalg.norm(way))
 
 
 def _spread(light: EnvironmentLight, place: StillLife) -> tuple[Float64, float]:
@@ -109,15 +98,9 @@ def _spread(light: EnvironmentLight, place: StillLife) -> tuple[Float64, float]:
 
 def _colour(light: Light, place: StillLife) -> Rgb:
     """Return the colour of a light as a whole; an environment's is that of its light on level ground."""
-    match light:
-        case EnvironmentLight(map=str() as environment):
-            directions, solid_angle = map_directions(0.0)
-            weight = np.maximum(directions[..., 2:], 0.0) * solid_angle[:, None, None]
-            mean = (weight * small_map(place.library, environment)).sum(axis=(0, 1)) * light.radiance
-            return float(mean[0]), float(mean[1]), float(mean[2])
-        case EnvironmentLight() | AreaLight() | EmissiveLight():
-            return light.radiance
-        case SunLight():
-            return light.irradiance
-        case PointLight() | SpotLight():
-            return light.intensity
+    if not isinstance(light, EnvironmentLight) or light.map is None:
+        return light.amount
+    directions, solid_angle = map_directions(0.0)
+    weight = np.maximum(directions[..., 2:], 0.0) * solid_angle[:, None, None]
+    red, green, blue = (weight * small_map(place.library, light.map)).sum(axis=(0, 1)) * light.radiance
+    return float(red), float(green), float(blue)

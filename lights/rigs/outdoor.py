@@ -3,7 +3,7 @@
 import numpy as np
 
 from multilight.lights.photometry.irradiance import StillLife
-from multilight.lights.rigs.balance import Share, balance, scaled
+from multilight.lights.rigs.balance import Share, balance
 from multilight.lights.rigs.daylight import environment, moon, open_direction, overcast, sun_and_sky, turned
 from multilight.lights.rigs.design import RigDesign
 from multilight.lights.rigs.lamps import LampKind, Post, draw_tint, hang, log_uniform
@@ -35,7 +35,7 @@ def outdoor_rig(rng: np.random.Generator, place: StillLife, design: RigDesign, *
     if glow is not None:
         rig.append(glow.light)
     for share in _helpers(rng, place, count - len(rig)):
-        rig.append(scaled(share.light, level * share.strength / max(place.dome_irradiance(share.light), 1e-9)))
+        rig.append(share.light.scaled(level * share.strength / max(place.dome_irradiance(share.light), 1e-9)))
     return LightRig(lights=tuple(rig))
 
 

@@ -15,7 +15,6 @@ from multilight.lights.photometry.radiometry import (
     spot_intensity_from_flux,
     watts_from_photometric,
 )
-from multilight.lights.rigs.balance import scaled
 from multilight.lights.rigs.design import rig_design
 from multilight.lights.rigs.lamps import log_uniform
 from multilight.lights.rigs.windows import daylight, sunlight
@@ -23,8 +22,6 @@ from multilight.lights.spec import AreaLight, EmissiveLight, Light, LightRig, Sp
 from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.cameras.pinhole import matrix4
-from multilight.scenes.colour import luminance
-from multilight.scenes.frozen import Rgb
 from multilight.scenes.geometry.rays import body_triangles
 from multilight.scenes.materials import GLOW
 from multilight.scenes.materials.emission import sample_glow
@@ -108,7 +105,7 @@ def _scaled_to(wanted: float, lamps: list[EmissiveLight], glows: list[_Glow]) ->
     flux = sum(_flux(light, glows) for light in lamps)
     factor = float(np.clip(wanted / UTILISATION / max(flux, 1.0), 0.5, 2.5))
     bright = {glow.body.name for glow in glows if glow.bright}
-    return [scaled(light, factor) if light.name in bright else light for light in lamps]
+    return [light.scaled(factor) if light.name in bright else light for light in lamps]
 
 
 def _glows(rng: np.random.Generator, scene: SceneSpec, library: AssetLibrary) -> list[_Glow]:
@@ -183,7 +180,7 @@ def _flux(light: Light, glows: list[_Glow]) -> float:
     glow = next(glow for glow in glows if glow.body.name == light.body)
     if not glow.bright:
         return 0.0
-    return _grey(light.radiance) * np.pi * glow.area / watts_from_photometric(1.0)
+    return light.grey * np.pi * glow.area / watts_from_photometric(1.0)
 
 
 def _floor_area(scene: SceneSpec, library: AssetLibrary) -> float:
@@ -239,8 +236,3 @@ def _downlight(rng: np.random.Generator, scene: SceneSpec, suffix: str) -> SpotL
         world_from_light=matrix4(pose),
         radiance=rgb_from_scalar(area_radiance_from_flux(flux, side * side), colour),
     )
-
-
-def _grey(colour: Rgb) -> float:
-    """Return the luminance of one RGB value."""
-    return float(luminance(np.array(colour)))

@@ -2,9 +2,7 @@
 
 from typing import get_args
 
-from multilight.lights.photometry.directions import direction_from
 from multilight.lights.photometry.irradiance import StillLife
-from multilight.lights.rigs.balance import scaled
 from multilight.lights.rigs.custom import custom_rig
 from multilight.lights.rigs.design import rig_design
 from multilight.lights.rigs.outdoor import outdoor_rig
@@ -14,8 +12,6 @@ from multilight.lights.spec import LightRig
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.spec import SceneSpec
 from multilight.scenes.streams import Streams
-
-__all__ = ["ALL_KINDS", "SPHERES_KINDS", "LightKind", "direction_from", "sample_rig", "scaled"]
 
 ALL_KINDS: tuple[LightKind, ...] = get_args(LightKind)
 SPHERES_KINDS: tuple[LightKind, ...] = ("environment", "sun", "point", "spot")

@@ -13,7 +13,6 @@ from multilight.lights.rigs.design import RigDesign
 from multilight.lights.rigs.lamps import LampKind, Post, draw_tint, gelled, hang, log_uniform, vector, white_tint
 from multilight.lights.rigs.tabletop import glow_share, key_tint
 from multilight.lights.spec import LightRig, SpotLight
-from multilight.scenes.colour import luminance
 
 KEY_LUX = (500.0, 3000.0)
 """Illuminance that the key aims at [lx]: continuous studio heads; flashes give more in less time."""
@@ -148,4 +147,4 @@ def _background(rng: np.random.Generator, place: StillLife, _: RigDesign) -> Sha
         radius=0.04,
     )
     # It counts where it falls: about square on the backdrop.
-    return Share(light, log_uniform(rng, 0.2, 1.0), float(luminance(np.array(light.intensity))) / reach**2)
+    return Share(light, log_uniform(rng, 0.2, 1.0), light.grey / reach**2)

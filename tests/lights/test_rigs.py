@@ -11,7 +11,7 @@ from multilight.lights.rigs.balance import FAINTEST
 from multilight.lights.rigs.daylight import overcast, sun_and_sky
 from multilight.lights.rigs.design import RATIOS, SIZES, RigDesign, rig_design
 from multilight.lights.rigs.measure import LightMeasure, measure_light
-from multilight.lights.rigs.sample import ALL_KINDS, SPHERES_KINDS, sample_rig, scaled
+from multilight.lights.rigs.sample import ALL_KINDS, SPHERES_KINDS, sample_rig
 from multilight.lights.spec import (
     AreaLight,
     EmissiveLight,
@@ -176,7 +176,7 @@ def test_area_lamp_against_closed_form(spheres: StillLife) -> None:
     disk = AreaLight(name="d", shape="disk", width=0.6, height=0.6, world_from_light=pose, radiance=(5.0, 5.0, 5.0))
     expected = math.pi * 5.0 * 0.09 / (0.09 + 0.64)
     assert spheres.table_irradiance(disk) == pytest.approx(expected, rel=0.03)
-    assert spheres.table_irradiance(scaled(disk, 3.0)) == pytest.approx(3 * spheres.table_irradiance(disk))
+    assert spheres.table_irradiance(disk.scaled(3.0)) == pytest.approx(3 * spheres.table_irradiance(disk))
 
 
 def test_a_dome_meter_counts_light_from_the_side(spheres: StillLife) -> None:

@@ -18,6 +18,7 @@ from multilight.lights.spec import (
     Light,
     LightingCondition,
     PointLight,
+    Quantity,
     SpotLight,
     SunLight,
 )
@@ -29,7 +30,7 @@ from multilight.scenes.streams import Streams
 MIXES, BACKGROUND = 4, 1000
 SUN_DISTANCE = 1000.0  # metres at which a sun is said to stand
 ONE: Rgb = (1.0, 1.0, 1.0)
-UNITS = {"sun": "W/m2", "point": "W/sr", "spot": "W/sr", "area": "W/(m2 sr)", "emissive": "W/(m2 sr)"}
+UNITS: dict[Quantity, str] = {"irradiance": "W/m2", "intensity": "W/sr", "radiance": "W/(m2 sr)"}
 TYPES = {"ceil": "Ceiling", "pendant": "Ceiling", "floor": "Floor", "lamp": "Desk", "candle": "Desk"}
 """LuxRemix' words for what glows, by what its category begins with or holds; first match."""
 
@@ -91,12 +92,12 @@ def _lighting(
     known = condition.model_copy(update={"gains": {n: g for n, g in condition.gains.items() if n in names}})
     found = []
     for light, gain in zip(passes.lights, gain_matrix(names, known), strict=True):
-        quantity = np.array(_quantity(light)) * gain
+        quantity = np.array(light.amount) * gain
         power = float(quantity.max())
         found.append({
             "id": light.name,
             "power": power,
-            "unit": UNITS[light.kind],
+            "unit": UNITS[light.quantity],
             "color": [float(c) for c in quantity / power] if power > 0 else [1.0, 1.0, 1.0],
             "type": _type(record, light),
             "colorful": light.gel is not None,
@@ -107,25 +108,13 @@ def _lighting(
     return found
 
 
-def _quantity(light: Light) -> Rgb:
-    match light:
-        case SunLight():
-            return light.irradiance
-        case PointLight() | SpotLight():
-            return light.intensity
-        case AreaLight() | EmissiveLight() | EnvironmentLight():
-            return light.radiance
-
-
 def _position(record: SceneRecord, light: Light) -> Float64:
     match light:
         case SunLight():
             way = -np.array(light.direction)
             return np.asarray(SUN_DISTANCE * way / np.linalg.norm(way))
-        case PointLight() | SpotLight():
+        case PointLight() | SpotLight() | AreaLight():
             return np.array(light.position)
-        case AreaLight():
-            return np.array(light.world_from_light)[:3, 3]
         case EmissiveLight():
             return np.array(record.scene.body(light.body).world_from_body)[:3, 3]
         case EnvironmentLight():
