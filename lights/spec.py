@@ -5,6 +5,7 @@ never seen by the camera directly; reflections show those that have a size.
 """
 
 import math
+from collections.abc import Iterable
 from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, PositiveFloat, model_validator
@@ -187,3 +188,8 @@ class LightingCondition(Frozen):
     name: Slug
     gains: dict[str, tuple[Gain, Gain, Gain]]
     exposure_ev: Annotated[float, Field(ge=-64, le=64)] = 0.0
+
+    @classmethod
+    def unchanged(cls, lights: Iterable[str], name: str = "all") -> Self:
+        """Return the condition in which these lights are on as the rig has them: unit gains, 0 EV."""
+        return cls(name=name, gains=dict.fromkeys(lights, (1.0, 1.0, 1.0)))

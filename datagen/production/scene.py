@@ -13,6 +13,7 @@ from multilight.datagen.production.stopwatch import Stopwatch
 from multilight.datagen.production.view import RenderedView, Shoot, render_view
 from multilight.datagen.storage.records import AssetCredit, SceneRecord, ViewRecord, view_file
 from multilight.datagen.storage.store import ViewData, file_sha256, read_view, scene_dir, write_text, write_view
+from multilight.datagen.storage.variants import ALL
 from multilight.datagen.tuples.exposure import meter_condition, thumbnail
 from multilight.datagen.tuples.sheet import save_preview
 from multilight.datagen.verification.views import Fault, brightness, verify_exposure, verify_pair, verify_rendered
@@ -175,7 +176,7 @@ def _write_scene(maker: Maker, streams: Streams, work: Path, watch: Stopwatch) -
         if faults:
             return faults
         before = view
-        thumbnails.append(thumbnail(view.variants["all"]))
+        thumbnails.append(thumbnail(view.variants[ALL]))
         brightnesses.append(brightness(record, view))
     metered = tuple(meter_condition(c, view.lights, thumbnails) for c in record.conditions)
     record = record.model_copy(update={"conditions": metered})

@@ -10,6 +10,7 @@ import polars as pl
 from multilight.datagen.errors import StoreError
 from multilight.datagen.storage.parquet import check_parquet
 from multilight.datagen.storage.records import SceneRecord
+from multilight.datagen.storage.variants import ALL
 from multilight.lights.photometry.angular_size import angular_diameter
 from multilight.scenes.appearance import is_mirror, material_class
 from multilight.scenes.cameras.pinhole import focal_length_mm
@@ -167,6 +168,6 @@ def _lights(record: SceneRecord) -> dict[str, Any]:
 def light_shares(record: SceneRecord) -> list[float]:
     """Return each light's share of the radiance in all views before denoising, in the rig's order; zeros if dark."""
     names = record.rig.names
-    means = [np.mean([view.energy["all"][name].mean for view in record.views]) for name in names]
+    means = [np.mean([view.energy[ALL][name].mean for view in record.views]) for name in names]
     total = float(np.sum(means))
     return [float(mean) / total if total > 0 else 0.0 for mean in means]

@@ -15,6 +15,7 @@ from multilight.datagen.files.outputs import check_file, written
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.source import open_dataset
 from multilight.datagen.storage.store import ViewData
+from multilight.datagen.storage.variants import ALL
 from multilight.datagen.tuples import compose
 from multilight.datagen.tuples.exposure import meter_condition, thumbnail
 from multilight.datagen.tuples.sheet import effect_picture
@@ -74,7 +75,7 @@ def find_condition(text: str, record: SceneRecord, view: ViewData) -> LightingCo
             raise UserError(f"condition {shown(text)}: the seed must be a whole number of at most 10 digits")
         rng = Streams(int(seed), record.index)("mix")
         drawn = random_condition(rng, record.rig, f"random_{seed}")
-        return meter_condition(drawn, view.lights, [thumbnail(view.variants["all"])])
+        return meter_condition(drawn, view.lights, [thumbnail(view.variants[ALL])])
     if text in (names := [condition.name for condition in record.conditions]):
         return record.condition(text)
     path = Path(text)

@@ -82,7 +82,7 @@ def _add_variants(world: Any, record: SceneRecord, dials: Sequence[Dial]) -> Non
     """Author the lights' strengths: as the rig has them, then under each condition, exposure included."""
     variants = world.GetVariantSets().AddVariantSet(VARIANTS)
     lights = record.rig.names
-    plain = LightingCondition(name=RIG, gains=dict.fromkeys(lights, (1.0, 1.0, 1.0)))
+    plain = LightingCondition.unchanged(lights, RIG)
     for condition in (plain, *record.conditions):
         variants.AddVariant(condition.name)
         variants.SetVariantSelection(condition.name)

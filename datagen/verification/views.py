@@ -14,6 +14,7 @@ from scipy.ndimage import binary_erosion
 from multilight.datagen.errors import StoreError
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.store import ViewData, as_stored, file_sha256, read_view
+from multilight.datagen.storage.variants import ALL, variants_of
 from multilight.datagen.tuples import compose
 from multilight.datagen.tuples.exposure import BRIGHT, DARK
 from multilight.datagen.verification.residuals import SIDES, residual
@@ -106,7 +107,7 @@ def verify_rendered(record: SceneRecord, number: int, view: ViewData, made: View
 
 def _content(record: SceneRecord, number: int, view: ViewData) -> Iterator[str]:
     names = record.scene.insertable
-    wanted = {"all"} | {f"{action}_{name}" for action in ("without", "foreground") for name in names}
+    wanted = set(variants_of(names))
     if set(view.variants) != wanted:
         yield f"variants are {sorted(view.variants)}, expected {sorted(wanted)}"
     if view.raw and set(view.raw) != wanted:
@@ -142,8 +143,8 @@ def _additivity(record: SceneRecord, number: int, view: ViewData) -> Iterator[st
     stated = record.views[number]
     if not stated.additivity <= ADDITIVITY:  # so that NaN is a fault, too
         yield f"raw layers differ from the combined render by {stated.additivity:.2e} (limit {ADDITIVITY:.0e})"
-    total, combined = view.variants["all"].sum(axis=0), view.combined
-    rendered = view.raw["all"].sum(axis=0) if view.raw else None if record.denoised else total
+    total, combined = view.variants[ALL].sum(axis=0), view.combined
+    rendered = view.raw[ALL].sum(axis=0) if view.raw else None if record.denoised else total
     if rendered is not None and (off := _off(rendered, combined, np.ones(total.shape[:2], bool))) > 2 * HALF:
         yield f"stored layers differ from the combined render by {off:.2e} (limit {2 * HALF:.0e})"
     if record.denoised:
@@ -152,7 +153,7 @@ def _additivity(record: SceneRecord, number: int, view: ViewData) -> Iterator[st
 
 def _denoised(view: ViewData) -> Iterator[str]:
     """Hold the denoised layers to what was rendered: their sum to `combined`, each of them where it was kept."""
-    layers = {"the sum of all layers": (view.variants["all"].sum(axis=0), view.combined)}
+    layers = {"the sum of all layers": (view.variants[ALL].sum(axis=0), view.combined)}
     for variant, rendered in view.raw.items():
         for light, pair in zip(view.lights, zip(view.variants[variant], rendered, strict=True), strict=True):
             layers[f"{variant}.{light}"] = pair
@@ -218,7 +219,7 @@ def brightness(record: SceneRecord, view: ViewData) -> Brightness:
     unexposed = [condition.model_copy(update={"exposure_ev": 0.0}) for condition in record.conditions]
     pictures = [np.percentile(luminance(compose.target(view, condition)), [50, 95]) for condition in unexposed]
     medians, highs = np.transpose(pictures)
-    everything = LightingCondition(name="all", gains=dict.fromkeys(view.lights, (1.0, 1.0, 1.0)))
+    everything = LightingCondition.unchanged(view.lights)
     picture = luminance(compose.target(view, everything))
     padded = np.pad(picture, 1, mode="reflect")
     height, width = picture.shape
@@ -246,7 +247,7 @@ def verify_exposure(record: SceneRecord, number: int, seen: Brightness) -> list[
 
 
 def _removal(record: SceneRecord, view: ViewData) -> Iterator[str]:
-    everything = LightingCondition(name="all", gains=dict.fromkeys(view.lights, (1.0, 1.0, 1.0)))
+    everything = LightingCondition.unchanged(view.lights)
     for name, alpha in view.coverage.items():
         change = np.abs(compose.effect(view, name, everything))
         seen = alpha >= 1

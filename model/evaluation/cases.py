@@ -12,6 +12,7 @@ from multilight.datagen.errors import UserError
 from multilight.datagen.storage.packed import PackedView
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.training_source import open_training
+from multilight.datagen.storage.variants import ALL
 from multilight.lights.photometry.angular_size import angular_diameter
 from multilight.lights.spec import EmissiveLight
 from multilight.model.data.dataset import MultiLightDataset, make_samples
@@ -178,7 +179,7 @@ def subsets_of(record: SceneRecord, name: str, shares: dict[str, float]) -> tupl
 
 def light_shares(views: list[PackedView], gains: Float32) -> dict[str, float]:
     """Return the share of the views' mean luminance that comes from each light under gains (L, 3)."""
-    layers = [view.variant("all").mean(axis=(1, 2), dtype=np.float64) for view in views]
+    layers = [view.variant(ALL).mean(axis=(1, 2), dtype=np.float64) for view in views]
     found = luminance(np.mean(layers, axis=0) * gains)
     return dict(zip(views[0].lights, (found / max(found.sum(), 1e-12)).tolist(), strict=True))
 

@@ -25,6 +25,7 @@ from multilight.datagen.storage.manifest import ScenePart, scene_part
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.source import DatasetSource
 from multilight.datagen.storage.store import ViewData, in_half
+from multilight.datagen.storage.variants import ALL
 from multilight.lights.display.tonemap import to_display
 from multilight.lights.relight import mix
 from multilight.lights.spec import EmissiveLight
@@ -132,7 +133,7 @@ def write_scene(source: DatasetSource, record: SceneRecord, passes: Passes, fold
 
 def _write_light(folder: Path, number: int, view: ViewData, passes: Passes) -> None:
     """Write the mixes (passes 0 to 3), the environment (1000) and each light alone (1001 on)."""
-    layers, ev = view.variants["all"], passes.exposure_ev
+    layers, ev = view.variants[ALL], passes.exposure_ev
     for name, condition in enumerate(passes.mixes):
         picture = mix(layers, view.lights, condition)
         _write_exr(folder / f"{name:04d}.{number:04d}.rgb_mix.exr", _rgba(picture))
@@ -172,7 +173,7 @@ def light_masks(view: ViewData, record: SceneRecord, passes: Passes) -> tuple[UI
     for light in passes.lights:
         if isinstance(light, EmissiveLight):
             body = ids == record.scene.instance_id(light.body)
-            layer = view.variants["all"][view.lights.index(light.name)]
+            layer = view.variants[ALL][view.lights.index(light.name)]
             limit = SHINES[light.texture is not None] * max(light.radiance)
             fixtures[body] = passes.colours[light.name]
             sources[body & (layer.max(axis=-1) > limit)] = passes.colours[light.name]

@@ -23,13 +23,11 @@ from multilight.lights.spec import (
     SunLight,
 )
 from multilight.scenes.arrays import Float64
-from multilight.scenes.frozen import Rgb
 from multilight.scenes.spec import Camera
 from multilight.scenes.streams import Streams
 
 MIXES, BACKGROUND = 4, 1000
 SUN_DISTANCE = 1000.0  # metres at which a sun is said to stand
-ONE: Rgb = (1.0, 1.0, 1.0)
 UNITS: dict[Quantity, str] = {"irradiance": "W/m2", "intensity": "W/sr", "radiance": "W/(m2 sr)"}
 TYPES = {"ceil": "Ceiling", "pendant": "Ceiling", "floor": "Floor", "lamp": "Desk", "candle": "Desk"}
 """LuxRemix' words for what glows, by what its category begins with or holds; first match."""
@@ -52,18 +50,19 @@ class Passes:
 def draw_passes(record: SceneRecord) -> Passes:
     """Draw three mixes beside the reference, in which all but the environment changes."""
     lights = tuple(light for light in record.rig.lights if light.kind != "environment")
-    environment = {light.name: ONE for light in record.rig.lights if light.kind == "environment"}
+    background = LightingCondition.unchanged(
+        (light.name for light in record.rig.lights if light.kind == "environment"), "background"
+    )
     rng = Streams(record.seed, record.index, record.attempt)("export/luxremix")
-    mixes = [LightingCondition(name="mix_0", gains=dict.fromkeys(record.rig.names, ONE))]
+    mixes = [LightingCondition.unchanged(record.rig.names, "mix_0")]
     for number in range(1, MIXES):
         drawn = random_condition(rng, record.rig, f"mix_{number}")
-        mixes.append(LightingCondition(name=drawn.name, gains=drawn.gains | environment))
+        mixes.append(LightingCondition(name=drawn.name, gains=drawn.gains | background.gains))
     hues = [colorsys.hsv_to_rgb(i / max(len(lights), 1), 1.0, 1.0) for i in range(len(lights))]
     colours = {
         light.name: (round(255 * r), round(255 * g), round(255 * b))
         for light, (r, g, b) in zip(lights, hues, strict=True)
     }
-    background = LightingCondition(name="background", gains=environment)
     return Passes(tuple(mixes), background, lights, colours, record.conditions[0].exposure_ev)
 
 
