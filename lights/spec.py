@@ -15,6 +15,8 @@ from multilight.scenes.frozen import Frozen, Matrix4, Rgb, Slug, Vector3
 from multilight.scenes.spec import Texture
 
 NonNegative = Annotated[float, Field(ge=0)]
+SUN_ANGLE, WIDEST_SUN = 0.00918, 0.5
+"""Angular diameters [rad]: of the sun, 31.6 arc minutes, and the largest that a parallel light may have."""
 
 
 Quantity = Literal["radiance", "intensity", "irradiance"]
@@ -59,7 +61,7 @@ class EnvironmentLight(_Light):
 
     In the map, azimuth runs to the left: the pixel at (u, v) in [0, 1]^2 from the top left lies in direction
     (cos(lat) cos(phi), cos(lat) sin(phi), sin(lat)) with phi = pi - 2 pi u + `rotation` and lat = pi/2 - pi v,
-    so the centre column looks along +X, the top along +Z, and `rotation` [rad] turns it counter-clockwise about +Z.
+    so the centre column looks along +X, the top along +Z, and `rotation` [rad] is counter-clockwise about +Z.
     """
 
     kind: Literal["environment"] = "environment"
@@ -75,9 +77,9 @@ class SunLight(_Light):
 
     kind: Literal["sun"] = "sun"
     direction: Vector3
-    """The way the light travels, in world axes (any length but zero)."""
+    """Where the light travels, in world axes (any length but zero)."""
     irradiance: Rgb
-    angle: Annotated[float, Field(ge=0, le=0.5)] = 0.00918
+    angle: Annotated[float, Field(ge=0, le=WIDEST_SUN)] = SUN_ANGLE
 
 
 class PointLight(_Light):
@@ -100,9 +102,9 @@ class PointLight(_Light):
 class SpotLight(_Light):
     """A spot at `position` that shines along `direction`.
 
-    `intensity` [W/sr] on the axis; zero outside `half_angle` [rad]; `blend` in [0, 1] is the soft share of the
+    `intensity` [W/sr] on the axis; zero outside `half_angle` [rad]; `blend` in [0, 1] is the soft part of the
     cone, with Blender's smoothstep fall-off. A `gobo` (asset id of an image, read as linear) multiplies it: the
-    image's square is the one round the cone, seen from the light, its top turned by `roll` [rad] from world up.
+    image's square is the one round the cone, seen from the light, its top rotated by `roll` [rad] from world up.
     """
 
     quantity = "intensity"

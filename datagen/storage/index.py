@@ -54,7 +54,7 @@ COLUMNS: dict[str, tuple[pl.DataType, str]] = {
 }
 """Each column's type and meaning."""
 
-KEY_SHARE = 0.1  # of the light in the pictures: a lamp that gives less shapes no shadows one would notice
+LEAST_SHAPING = 0.1  # of the light in the pictures: a lamp that gives less shapes no shadows one would notice
 
 
 def index_table(records: Iterable[SceneRecord]) -> pl.DataFrame:
@@ -145,16 +145,16 @@ def _bodies(record: SceneRecord) -> dict[str, Any]:
 def _lights(record: SceneRecord) -> dict[str, Any]:
     lights = record.rig.lights
     places = [body.world_from_body for body in record.scene.bodies if body.role == "object"]
-    middle = np.mean([np.array(pose)[:3, 3] for pose in places], axis=0) if places else np.zeros(3)
-    diameters = [angular_diameter(light, middle) for light in lights]
+    centre = np.mean([np.array(pose)[:3, 3] for pose in places], axis=0) if places else np.zeros(3)
+    diameters = [angular_diameter(light, centre) for light in lights]
     sizes = [None if size is None else round(float(np.degrees(size)), 3) for size in diameters]
-    shares = light_shares(record)
-    strongest = max(shares)
-    shaping = [size for size, share in zip(sizes, shares, strict=True) if size is not None and share >= KEY_SHARE]
+    fractions = light_fractions(record)
+    strongest = max(fractions)
+    shaping = [size for size, part in zip(sizes, fractions, strict=True) if size is not None and part >= LEAST_SHAPING]
     return {
         "lights": list(record.rig.names),
         "light_kinds": [light.kind for light in lights],
-        "light_shares": [round(share, 4) for share in shares],
+        "light_shares": [round(part, 4) for part in fractions],
         "light_sizes_deg": sizes,
         "temperatures_k": [light.colour_temperature for light in lights],
         "gels": sorted({light.gel for light in lights if light.gel}),
@@ -165,8 +165,8 @@ def _lights(record: SceneRecord) -> dict[str, Any]:
     }
 
 
-def light_shares(record: SceneRecord) -> list[float]:
-    """Return each light's share of the radiance in all views before denoising, in the rig's order; zeros if dark."""
+def light_fractions(record: SceneRecord) -> list[float]:
+    """Return each light's fraction of the radiance in all views before denoising, in the rig's order; zeros if dark."""
     names = record.rig.names
     means = [np.mean([view.energy[ALL][name].mean for view in record.views]) for name in names]
     total = float(np.sum(means))

@@ -39,7 +39,7 @@ def spot_intensity_from_flux(flux: float, half_angle: float) -> float:
 def spot_solid_angle(half_angle: float, blend: float = 0.0) -> float:
     """Return the solid angle [sr] that times the axial intensity gives the flux of a `lights.spec.SpotLight`.
 
-    2 pi (1 - cos(half_angle)) (1 - blend / 2): the smoothstep over the soft share of the cosines averages one half.
+    2 pi (1 - cos(half_angle)) (1 - blend / 2): the smoothstep over the soft part of the cosines averages one half.
     """
     if not 0.0 < half_angle <= math.pi or not 0.0 <= blend <= 1.0:
         raise ValueError(f"half angle {half_angle} rad must be in (0, pi] and blend {blend} in [0, 1]")
