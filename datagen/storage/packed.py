@@ -204,7 +204,7 @@ class _Pool:
 
 
 def _filled(layers: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Turn (L, H, W, C) into (L, C, Y, X), filled up with zeros to whole tiles."""
+    """Lay (L, H, W, C) out as (L, C, Y, X), filled up with zeros to whole tiles."""
     count, height, width, channels = layers.shape
     full = np.zeros((count, channels, -(-height // TILE) * TILE, -(-width // TILE) * TILE), layers.dtype)
     full[..., :height, :width] = layers.transpose(0, 3, 1, 2)

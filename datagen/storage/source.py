@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Literal
 
 import polars as pl
-from fsspec import AbstractFileSystem
 
 from multilight.datagen.errors import StoreError, UserError
 from multilight.datagen.storage.index import index_table, parse_index
@@ -66,13 +65,8 @@ class DatasetSource:
         return self.place.address
 
     @property
-    def filesystem(self) -> AbstractFileSystem:
-        """The file system that the dataset lies on."""
-        return self.place.filesystem
-
-    @property
     def root(self) -> str:
-        """Where the dataset lies on it."""
+        """Where the dataset lies on its file system."""
         return self.place.root
 
     @property
@@ -104,6 +98,10 @@ class DatasetSource:
                 record = self.scene(index)
             if record is not None:
                 yield record
+
+    def views(self, record: SceneRecord) -> Iterator[ViewData]:
+        """Read the views of a scene, one after the other; raises `StoreError` as `view` does."""
+        return (self.view(record, number) for number in range(len(record.views)))
 
     @contextlib.contextmanager
     def passing_over(self, index: int) -> Iterator[None]:
@@ -149,7 +147,7 @@ class DatasetSource:
         try:
             yield
         except StoreError as error:
-            if not self.is_local or any(Path(self.root, name).exists() for name in COPIES):
+            if not self.is_local or any(self.place.exists(name) for name in COPIES):
                 raise
             raise StoreError(f"{error}; made anew by: {repair_command(self.address)}") from None
 

@@ -33,7 +33,7 @@ from multilight.scenes.files.inside import OutsideError, held, inside
 from multilight.scenes.files.whole import write_whole
 
 _Record = TypeVar("_Record", SceneRecord, DatasetRecord)
-COMPRESSION = OpenEXR.ZIP_COMPRESSION
+HEADER = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}  # to be copied: the binding adds to it
 HALF_MAX = 65504.0
 ALWAYS = {f"{name}.{c}" for name, channels in (
     ("combined", "RGB"), ("normal_world", "XYZ"), ("albedo", "RGB"), ("z_depth", "Z"), ("roughness", "Y"),
@@ -115,6 +115,12 @@ def write_view(path: Path, view: ViewData) -> None:
     parts.append(_part("geometry", _geometry_channels(view.geometry, view.coverage)))
     path.parent.mkdir(parents=True, exist_ok=True)
     OpenEXR.File(parts).write(str(path))
+
+
+def write_exr(path: Path, channels: Mapping[str, NDArray[np.floating]]) -> None:
+    """Write one picture as an OpenEXR file of one part: channels (H, W), or `RGB` (H, W, 3)."""
+    planes = {name: np.ascontiguousarray(plane) for name, plane in channels.items()}
+    OpenEXR.File(dict(HEADER), planes).write(str(path))
 
 
 def read_view(path: Path, stated: tuple[SceneRecord, int] | None = None) -> ViewData:
@@ -227,8 +233,7 @@ def _color_channels(prefix: str, image: NDArray[np.floating]) -> dict[str, NDArr
 
 
 def _part(name: str, channels: Mapping[str, NDArray[np.generic]]) -> OpenEXR.Part:
-    header = {"compression": COMPRESSION, "type": OpenEXR.scanlineimage}
-    return OpenEXR.Part(header, dict(channels), name)
+    return OpenEXR.Part(dict(HEADER), dict(channels), name)
 
 
 def _layers_part(variant: str, lights: tuple[str, ...], layers: Float32) -> OpenEXR.Part:

@@ -5,8 +5,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-import OpenEXR
 from PIL import Image
 from pydantic import ValidationError
 
@@ -14,7 +12,7 @@ from multilight.datagen.errors import UserError
 from multilight.datagen.files.outputs import check_file, written
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.source import open_dataset
-from multilight.datagen.storage.store import ViewData
+from multilight.datagen.storage.store import ViewData, write_exr
 from multilight.datagen.storage.variants import ALL
 from multilight.datagen.tuples import compose
 from multilight.datagen.tuples.exposure import meter_condition, thumbnail
@@ -60,8 +58,7 @@ def write_mix(request: MixRequest, out: Path) -> None:
     picture = _picture(request.what, view, name, insert, base)
     with written(out) as work:
         if out.suffix == ".exr":
-            header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-            OpenEXR.File(header, {"RGB": np.ascontiguousarray(picture)}).write(str(work))
+            write_exr(work, {"RGB": picture})
         else:
             shown = effect_picture(picture) if request.what == "effect" else to_display(picture)
             Image.fromarray(shown).save(work)

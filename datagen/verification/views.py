@@ -28,7 +28,7 @@ FAR = 0.2
 """Of the local radiance, beyond noise: how far blocks of a denoised layer may be from what was rendered."""
 OVERLAP = 0.005  # rounding of half floats where coverages add up to one
 HALF = 2e-3  # twice the relative spacing of half floats, after sums
-REPROJECTION_SHARE = 0.97  # pixels that must land on or behind the other view's surface
+CONSISTENT = 0.97  # pixels that must land on or behind the other view's surface
 DEPTH_ERROR = 2e-3  # relative, median over smooth surfaces
 FIREFLY = 50.0  # times the brightest neighbour, and brighter than white
 
@@ -184,7 +184,7 @@ def _off(a: Float32, b: Float32, where: np.ndarray) -> float:
 
 
 STRAY = 0.01
-"""Share of an object's inner pixels whose centre may see something else, through a gap that all samples missed."""
+"""Fraction of an object's inner pixels whose centre may see something else, through a gap that all samples missed."""
 
 
 def _masks(record: SceneRecord, view: ViewData) -> Iterator[str]:
@@ -256,16 +256,16 @@ def _removal(record: SceneRecord, view: ViewData) -> Iterator[str]:
 
 
 def verify_pair(record: SceneRecord, first: tuple[int, ViewData], second: tuple[int, ViewData]) -> list[Fault]:
-    """Carry each view's depth into the other: depth that is too small shows one way, too large the other."""
+    """Carry the depth of each view into the other: too small shows in one direction, too large in the other."""
     faults = []
     for (a, view_a), (b, view_b) in ((first, second), (second, first)):
         cameras = record.scene.cameras
         found = reprojection_error(view_a.geometry.z_depth, cameras[a], view_b.geometry.z_depth, cameras[b])
         if found.compared == 0:
             continue
-        if found.consistent < REPROJECTION_SHARE or found.median_relative_error > DEPTH_ERROR:
+        if found.consistent < CONSISTENT or found.median_relative_error > DEPTH_ERROR:
             message = (
-                f"{found.consistent:.1%} of the depth agrees with view {b} (least {REPROJECTION_SHARE:.0%}), "
+                f"{found.consistent:.1%} of the depth agrees with view {b} (least {CONSISTENT:.0%}), "
                 f"median error {found.median_relative_error:.2e} (most {DEPTH_ERROR:.0e})"
             )
             faults.append(Fault(record.index, a, "reprojection", message))

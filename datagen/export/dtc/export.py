@@ -20,7 +20,7 @@ from multilight.datagen.errors import RunStoppedError, StoreError, UserError
 from multilight.datagen.export.dtc.readme import write_readme
 from multilight.datagen.export.dtc.scene import Frame
 from multilight.datagen.export.dtc.work import Job, export_scene
-from multilight.datagen.storage.copies import Copy, making
+from multilight.datagen.storage.copies import Copy, Report, making
 from multilight.datagen.storage.manifest import FileEntry, ScenePart, scene_part
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.source import open_dataset
@@ -28,7 +28,6 @@ from multilight.datagen.storage.store import write_text
 from multilight.scenes.gaussians.curves import fold
 
 Part = Literal["2d-train", "2d-eval", "3d-train", "3d-eval", "all"]
-Report = Callable[[float, float], None]
 ROOTS: dict[str, str] = {
     "2d-train": "DTC-MultiLight-2D",
     "3d-train": "DTC-MultiLight-3D",

@@ -110,8 +110,8 @@ def _lighting(
 def _position(record: SceneRecord, light: Light) -> Float64:
     match light:
         case SunLight():
-            way = -np.array(light.direction)
-            return np.asarray(SUN_DISTANCE * way / np.linalg.norm(way))
+            towards = -np.array(light.direction)
+            return np.asarray(SUN_DISTANCE * towards / np.linalg.norm(towards))
         case PointLight() | SpotLight() | AreaLight():
             return np.array(light.position)
         case EmissiveLight():
@@ -133,7 +133,7 @@ def _centre(record: SceneRecord) -> list[float]:
 
 
 def _pose(camera: Camera, near_far: tuple[float, float]) -> dict[str, Any]:
-    """Say where a camera stands and how it is turned (OpenGL axes to world, w x y z); `fov` [degrees] is horizontal."""
+    """Say where a camera stands, its rotation (OpenGL axes to world, w x y z), and `fov` [degrees], horizontal."""
     x, y, z, w = Rotation.from_matrix(camera.pose()[:3, :3]).as_quat()
     fov = 2.0 * np.degrees(np.arctan(camera.width / (2.0 * camera.fx)))
     return {
