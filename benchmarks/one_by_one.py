@@ -9,7 +9,6 @@ from multilight.datagen.backends.blender.backend import BlenderBackend, _hidden
 from multilight.datagen.backends.blender.film import beauty_filter, render_passes
 from multilight.datagen.backends.blender.scene import place_camera
 from multilight.datagen.backends.protocol import RenderJob, RenderSettings
-from multilight.lights.rigs.sample import scaled
 from multilight.lights.spec import LightingCondition, LightRig
 from multilight.scenes.arrays import Float32
 from multilight.scenes.spec import SceneSpec
@@ -26,7 +25,7 @@ class Case(Protocol):
 def relit(rig: LightRig, condition: LightingCondition) -> LightRig:
     """Build the rig that a renderer would be given for one condition (gains' mean: the cost does not depend on hue)."""
     lights = [
-        scaled(light, float(np.mean(condition.gains[light.name])))
+        light.scaled(float(np.mean(condition.gains[light.name])))
         for light in rig.lights
         if np.any(condition.gains.get(light.name, 0))
     ]

@@ -30,6 +30,7 @@ from multilight.datagen.production.denoise import denoise_all, denoise_without
 from multilight.datagen.production.scene import contact_faults, sample_scene
 from multilight.datagen.production.view import shown_in
 from multilight.datagen.storage.layers import LayerStack
+from multilight.datagen.storage.variants import ALL, Variant
 from multilight.lights.spec import EmissiveLight, LightRig
 from multilight.scenes.arrays import Float32, Mask
 from multilight.scenes.assets.library import AssetLibrary
@@ -85,10 +86,10 @@ def backgrounds(options: Options, backend: Backend, library: AssetLibrary) -> It
         def render(variant: str, spp: int, scene: SceneSpec = scene, rig: LightRig = rig) -> LayerStack:
             return backend.render(RenderJob(scene, rig, RenderSettings(spp=spp), 0, variant))
 
-        everything = render("all", options.spp)
+        everything = render(ALL, options.spp)
         clean = denoise_all(everything)
         for name in scene.insertable:
-            without, foreground = (render(f"{action}_{name}", options.spp) for action in ("without", "foreground"))
+            without, foreground = (render(of(name), options.spp) for of in (Variant.without, Variant.foreground))
             assert foreground.coverage is not None
             silhouette = foreground.coverage > 0
             if silhouette.sum() < LEAST:
@@ -109,8 +110,8 @@ def backgrounds(options: Options, backend: Backend, library: AssetLibrary) -> It
             )
             truth = present = None
             if options.converged_spp:
-                truth = render(f"without_{name}", options.converged_spp).radiance
-                present = render("all", options.converged_spp).radiance
+                truth = render(Variant.without(name), options.converged_spp).radiance
+                present = render(ALL, options.converged_spp).radiance
             for number, light in enumerate(lights):
                 at = rig.names.index(light.name)
                 yield Background(

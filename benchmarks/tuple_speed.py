@@ -20,6 +20,7 @@ from PIL import Image
 
 from multilight.datagen.storage.packed import PackedView
 from multilight.datagen.storage.training_source import TrainingSource, open_training
+from multilight.datagen.storage.variants import Variant
 from multilight.lights.display.tonemap import to_display
 from multilight.model.data import MultiLightDataset, SampleSettings
 from multilight.model.data.augment import PLAIN, centre_frame
@@ -70,7 +71,7 @@ def read_pngs(files: list[bytes]) -> list[torch.Tensor]:
 def published_bytes(source: TrainingSource, scene: int, number: int, name: str) -> int:
     """Return the bytes of one object's backgrounds as finished pictures: 12 lightings at 4 exposures."""
     view, total = source.view(scene, number), 0
-    layers = view.variant(f"without_{name}").astype(np.float32)
+    layers = view.variant(Variant.without(name)).astype(np.float32)
     for gains in view.conditions[:12]:
         linear = np.einsum("lhwc,lc->hwc", layers, gains)
         for stops in (-1.0, -0.5, 0.0, 0.5):

@@ -37,6 +37,7 @@ from multilight.datagen.production.scene import sample_scene
 from multilight.datagen.production.stopwatch import Stopwatch
 from multilight.datagen.production.view import SceneSetup, render_view
 from multilight.datagen.storage.store import ViewData
+from multilight.datagen.storage.variants import ALL, Variant
 from multilight.lights.conditions import sample_conditions
 from multilight.lights.display.tonemap import meter_ev, to_display
 from multilight.lights.relight import mix
@@ -74,7 +75,7 @@ class Case:
     options: Options
     converged: dict[str, Float32] = field(default_factory=dict)
 
-    def job(self, spp: int, variant: str = "all") -> RenderJob:
+    def job(self, spp: int, variant: str = ALL) -> RenderJob:
         """Return one render of the view, on all cores."""
         return RenderJob(self.scene, self.rig, RenderSettings(spp=spp), self.options.view, variant)
 
@@ -140,11 +141,11 @@ def make_tuples(case: Case, data: ViewData) -> None:
     def lit(variant: str) -> list[Float32]:
         return [mix(data.variants[variant], data.lights, condition) for condition in case.conditions]
 
-    lit("all")
+    lit(ALL)
     for name in case.scene.insertable:
         clear = 1 - data.coverage[name][..., None]
-        objects = lit(f"foreground_{name}")
-        for background in lit(f"without_{name}"):
+        objects = lit(Variant.foreground(name))
+        for background in lit(Variant.without(name)):
             behind = clear * background
             for thing in objects:
                 np.add(thing, behind)

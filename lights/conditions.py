@@ -23,7 +23,7 @@ def sample_conditions(rng: np.random.Generator, rig: LightRig, count: int = 12) 
     but `all`; a metered exposure is added later, from the rendered layers.
     """
     names = rig.names
-    conditions = [LightingCondition(name="all", gains=dict.fromkeys(names, WHITE))]
+    conditions = [LightingCondition.unchanged(names)]
     if len(names) > 1:
         conditions += [_condition(rng, f"{name}_only", (name,)) for name in names]
     pairs = list(combinations(names, 2)) if len(names) > 2 else []

@@ -4,24 +4,57 @@ Colours are scene-linear, Rec.709 primaries, D65. Lights other than the environm
 never seen by the camera directly; reflections show those that have a size.
 """
 
-from typing import Annotated, Literal
+import math
+from collections.abc import Iterable
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, PositiveFloat, model_validator
 
+from multilight.scenes.colour import luminance
 from multilight.scenes.frozen import Frozen, Matrix4, Rgb, Slug, Vector3
 from multilight.scenes.spec import Texture
 
 NonNegative = Annotated[float, Field(ge=0)]
-SUN_ANGLE = 0.00918
-"""Diameter of the sun's disc [rad]: as in July, when it is smallest, and as Blender has it."""
+SUN_ANGLE, WIDEST_SUN = 0.00918, 0.5
+"""Angular diameters [rad]: of the sun, as in July, when it is smallest, and as Blender has it; and the largest that a
+parallel light may have."""
+
+
+Quantity = Literal["radiance", "intensity", "irradiance"]
 
 
 class _Light(Frozen):
-    """What every light records: its name and, for statistics, where its colour came from."""
+    """What every light records: its name and, for statistics, where its colour came from.
+
+    `quantity` names the field that says how strong it is.
+    """
+
+    quantity: ClassVar[Quantity] = "radiance"
 
     name: Slug
     colour_temperature: float | None = None
     gel: str | None = None
+
+    @property
+    def amount(self) -> Rgb:
+        """What it carries by channel, in the unit of its quantity."""
+        red, green, blue = getattr(self, self.quantity)
+        return red, green, blue
+
+    @property
+    def grey(self) -> float:
+        """The luminance of its amount, in the same unit."""
+        return float(luminance(self.amount))
+
+    @property
+    def is_shaped(self) -> bool:
+        """Whether it throws a pattern (gobo), has a beam profile or shows a picture."""
+        return any(getattr(self, name, None) for name in ("gobo", "profile", "texture"))
+
+    def scaled(self, factor: float) -> Self:
+        """Return the same light `factor` times as strong."""
+        red, green, blue = self.amount
+        return self.model_copy(update={self.quantity: (red * factor, green * factor, blue * factor)})
 
 
 class EnvironmentLight(_Light):
@@ -29,7 +62,7 @@ class EnvironmentLight(_Light):
 
     In the map, azimuth runs to the left: the pixel at (u, v) in [0, 1]^2 from the top left lies in direction
     (cos(lat) cos(phi), cos(lat) sin(phi), sin(lat)) with phi = pi - 2 pi u + `rotation` and lat = pi/2 - pi v,
-    so the centre column looks along +X, the top along +Z, and `rotation` [rad] turns it counter-clockwise about +Z.
+    so the centre column looks along +X, the top along +Z, and `rotation` [rad] is counter-clockwise about +Z.
     """
 
     kind: Literal["environment"] = "environment"
@@ -41,11 +74,13 @@ class EnvironmentLight(_Light):
 class SunLight(_Light):
     """Parallel light: `irradiance` [W/m²] on a surface that faces it; `angle` is the disc's diameter [rad]."""
 
+    quantity = "irradiance"
+
     kind: Literal["sun"] = "sun"
     direction: Vector3
-    """The way the light travels, in world axes (any length but zero)."""
+    """Where the light travels, in world axes (any length but zero)."""
     irradiance: Rgb
-    angle: Annotated[float, Field(ge=0, le=0.5)] = SUN_ANGLE
+    angle: Annotated[float, Field(ge=0, le=WIDEST_SUN)] = SUN_ANGLE
 
 
 class PointLight(_Light):
@@ -54,6 +89,8 @@ class PointLight(_Light):
     A `profile` makes it depend on the angle from `direction`: relative intensities, at most 1, at evenly spaced
     angles from 0 to pi, linear in between (as an IES luminaire file gives them, averaged about the axis).
     """
+
+    quantity = "intensity"
 
     kind: Literal["point"] = "point"
     position: Vector3
@@ -66,10 +103,12 @@ class PointLight(_Light):
 class SpotLight(_Light):
     """A spot at `position` that shines along `direction`.
 
-    `intensity` [W/sr] on the axis; zero outside `half_angle` [rad]; `blend` in [0, 1] is the soft share of the
+    `intensity` [W/sr] on the axis; zero outside `half_angle` [rad]; `blend` in [0, 1] is the soft part of the
     cone, with Blender's smoothstep fall-off. A `gobo` (asset id of an image, read as linear) multiplies it: the
-    image's square is the one round the cone, seen from the light, its top turned by `roll` [rad] from world up.
+    image's square is the one round the cone, seen from the light, its top rotated by `roll` [rad] from world up.
     """
+
+    quantity = "intensity"
 
     kind: Literal["spot"] = "spot"
     position: Vector3
@@ -94,6 +133,17 @@ class AreaLight(_Light):
     height: PositiveFloat
     world_from_light: Matrix4
     radiance: Rgb
+
+    @property
+    def position(self) -> Vector3:
+        """Its centre."""
+        x, y, z = (row[3] for row in self.world_from_light[:3])
+        return x, y, z
+
+    @property
+    def area(self) -> float:
+        """Its area [m²]."""
+        return self.width * self.height * (math.pi / 4 if self.shape == "disk" else 1.0)
 
 
 class EmissiveLight(_Light):
@@ -141,3 +191,8 @@ class LightingCondition(Frozen):
     name: Slug
     gains: dict[str, tuple[Gain, Gain, Gain]]
     exposure_ev: Annotated[float, Field(ge=-64, le=64)] = 0.0
+
+    @classmethod
+    def unchanged(cls, lights: Iterable[str], name: str = "all") -> Self:
+        """Return the condition in which these lights are on as the rig has them: unit gains, 0 EV."""
+        return cls(name=name, gains=dict.fromkeys(lights, (1.0, 1.0, 1.0)))

@@ -6,6 +6,7 @@ from typing import Protocol
 from pydantic import PositiveInt
 
 from multilight.datagen.storage.layers import LayerStack
+from multilight.datagen.storage.variants import ALL, Variant, variants_of
 from multilight.lights.spec import LightRig
 from multilight.scenes.errors import MultilightError
 from multilight.scenes.frozen import Frozen
@@ -23,14 +24,13 @@ class RenderSettings(Frozen):
 
 @dataclass(frozen=True)
 class RenderJob:
-    """One variant of one view: `all`, `without_<object>` (removed for good: no shadow, no reflection),
-    or `foreground_<object>` (only what the camera sees of the object, as lit in the whole scene)."""
+    """One variant (`datagen.storage.variants`) of one view."""
 
     scene: SceneSpec
     rig: LightRig
     settings: RenderSettings
     view: int
-    variant: str = "all"
+    variant: str = ALL
 
 
 class Backend(Protocol):
@@ -56,13 +56,11 @@ def view_camera(job: RenderJob) -> Camera:
 
 
 def split_variant(scene: SceneSpec, variant: str) -> tuple[str, str | None]:
-    """Split a variant into its action (`all`, `without`, `foreground`) and the object's name."""
-    if variant == "all":
-        return "all", None
-    action, _, name = variant.partition("_")
-    if action not in ("without", "foreground") or name not in scene.insertable:
+    """Split a variant into its action (`all`, `without`, `foreground`) and the object's name, None for `all`."""
+    named = Variant(variant)
+    if named not in variants_of(scene.insertable):
         raise BackendError(
             f"variant {variant!r} is not 'all', 'without_<object>' or 'foreground_<object>' "
             f"with an object of {list(scene.insertable)}"
         )
-    return action, name
+    return named.action, named.object or None

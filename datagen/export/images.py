@@ -26,12 +26,12 @@ def jpeg(pixels: UInt8, quality: int) -> bytes:
     return stream.getvalue()
 
 
-def share_to_byte(share: ArrayLike) -> UInt8:
-    """Turn shares in [0, 1] into 8 bits."""
-    return np.rint(np.clip(share, 0.0, 1.0) * 255.0).astype(np.uint8)
+def to_byte(values: ArrayLike) -> UInt8:
+    """Round values in [0, 1] to 8 bits."""
+    return np.rint(np.clip(values, 0.0, 1.0) * 255.0).astype(np.uint8)
 
 
 def depth_mm(z_depth: ArrayLike) -> NDArray[np.uint16]:
-    """Turn z_depth [m] into whole millimetres, uint16; 0 where there is nothing or it is beyond `DEEPEST`."""
+    """Round z_depth [m] to whole millimetres, uint16; 0 where there is nothing or it is beyond `DEEPEST`."""
     depth = np.asarray(z_depth, np.float64)
     return np.rint(np.where(depth <= DEEPEST, depth, 0.0) * 1000.0).astype(np.uint16)

@@ -14,6 +14,7 @@ from multilight.datagen.production.stopwatch import Stopwatch
 from multilight.datagen.production.view import RenderedView, SceneSetup, render_view
 from multilight.datagen.storage.records import AssetCredit, SceneRecord, ViewRecord, view_file
 from multilight.datagen.storage.store import ViewData, file_sha256, read_view, scene_dir, write_text, write_view
+from multilight.datagen.storage.variants import ALL
 from multilight.datagen.tuples.exposure import meter_condition, thumbnail
 from multilight.datagen.tuples.sheet import save_preview
 from multilight.datagen.verification.views import Fault, brightness, verify_exposure, verify_pair, verify_rendered
@@ -170,7 +171,7 @@ def _write_scene(maker: SceneMaker, streams: Streams, work: Path, watch: Stopwat
         if faults:
             return faults
         before = view
-        thumbnails.append(thumbnail(view.variants["all"]))
+        thumbnails.append(thumbnail(view.variants[ALL]))
         brightnesses.append(brightness(record, view))
     metered = tuple(meter_condition(c, view.lights, thumbnails) for c in record.conditions)
     record = record.model_copy(update={"conditions": metered})

@@ -11,6 +11,7 @@ from multilight.datagen.production.stopwatch import Stopwatch
 from multilight.datagen.storage.layers import LayerStack
 from multilight.datagen.storage.records import LayerEnergy, Residuals
 from multilight.datagen.storage.store import ViewData
+from multilight.datagen.storage.variants import ALL, Variant
 from multilight.datagen.verification.residuals import noise_variance, residual
 from multilight.lights.spec import LightRig
 from multilight.scenes.arrays import Float32, Mask
@@ -51,10 +52,10 @@ def render_view(setup: SceneSetup, view: int, watch: Stopwatch) -> RenderedView:
             return setup.backend.render(RenderJob(setup.scene, setup.rig, setup.settings, view, variant))
 
     names = setup.scene.insertable
-    everything = render("all")
+    everything = render(ALL)
     assert everything.geometry is not None
-    foregrounds = _within_pixels({name: render(f"foreground_{name}") for name in names})
-    without = {name: render(f"without_{name}") for name in names}
+    foregrounds = _within_pixels({name: render(Variant.foreground(name)) for name in names})
+    without = {name: render(Variant.without(name)) for name in names}
     raw = _as_rendered(everything, without, foregrounds)
     variants, residuals = raw, dict[str, Residuals]()
     if setup.denoise:
@@ -65,16 +66,16 @@ def render_view(setup: SceneSetup, view: int, watch: Stopwatch) -> RenderedView:
     geometry = replace(everything.geometry, environment=np.minimum(everything.geometry.environment, free))
     kept = raw if setup.denoise and setup.keep_raw else {}
     data = ViewData(setup.rig.names, variants, coverage, geometry, everything.combined, kept)
-    whole = {"all": everything} | {f"without_{name}": stack for name, stack in without.items()}
-    energy = {variant: layer_energies(stack) for variant, stack in whole.items()}
+    whole = [(ALL, everything), *((Variant.without(name), stack) for name, stack in without.items())]
+    energy: dict[str, dict[str, LayerEnergy]] = {variant: layer_energies(stack) for variant, stack in whole}
     return RenderedView(data, additivity_residual(everything), energy, residuals)
 
 
 def _as_rendered(everything: LayerStack, without: Stacks, foregrounds: Stacks) -> dict[str, Float32]:
-    variants = {"all": everything.radiance}
+    variants: dict[str, Float32] = {ALL: everything.radiance}
     for name, stack in without.items():
-        variants[f"without_{name}"] = stack.radiance
-        variants[f"foreground_{name}"] = foreground_layers(foregrounds[name], everything.radiance)
+        variants[Variant.without(name)] = stack.radiance
+        variants[Variant.foreground(name)] = foreground_layers(foregrounds[name], everything.radiance)
     return variants
 
 
@@ -84,14 +85,15 @@ def _denoised(
     clean = denoise_all(everything, threads=threads)
     anywhere = np.ones(clean.shape[1:3], bool)
     left = (residual(layer, raw, anywhere)[0] for layer, raw in zip(clean, everything.radiance, strict=True))
-    variants, residuals = {"all": clean}, {"all": Residuals(outside=_largest(everything.lights, left))}
+    variants: dict[str, Float32] = {ALL: clean}
+    residuals: dict[str, Residuals] = {ALL: Residuals(outside=_largest(everything.lights, left))}
     for name, stack in without.items():
         removed = denoise_without(
             stack, everything, clean, shown_in(everything, stack, foregrounds[name]), threads=threads
         )
-        variants[f"without_{name}"] = removed.layers
-        variants[f"foreground_{name}"] = denoise_foreground(foregrounds[name], clean, threads=threads)
-        residuals[f"without_{name}"] = Residuals(
+        variants[Variant.without(name)] = removed.layers
+        variants[Variant.foreground(name)] = denoise_foreground(foregrounds[name], clean, threads=threads)
+        residuals[Variant.without(name)] = Residuals(
             inside=_largest(stack.lights, removed.inside),
             outside=_largest(stack.lights, removed.outside),
             denoised_anew=removed.anew,

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from multilight.datagen.stats.quantities import Value
-from multilight.lights.photometry.irradiance import StillLife
+from multilight.lights.photometry.irradiance import LightMeter
 from multilight.lights.rigs.measure import LightMeasure, measure_light
 from multilight.lights.spec import EnvironmentLight, Light, LightRig
 from multilight.scenes.appearance import material_class
@@ -44,8 +44,8 @@ class SceneFacts:
 
 def scene_facts(scene: SceneSpec, rig: LightRig, split: Split, library: AssetLibrary) -> SceneFacts:
     """Measure a scene; raises `AssetError` where an asset of it is not installed."""
-    place = StillLife.of(scene, library)
-    lights = [measure_light(light, place) for light in rig.lights]
+    meter = LightMeter.of(scene, library)
+    lights = [measure_light(light, meter) for light in rig.lights]
     values: Values = defaultdict(list)
     objects = [body for body in scene.bodies if body.role == "object"]
     values["kind"], values["split"] = [scene.kind], [split]
@@ -56,7 +56,7 @@ def scene_facts(scene: SceneSpec, rig: LightRig, split: Split, library: AssetLib
         _add_object(values, body, library)
     for light, measure in zip(rig.lights, lights, strict=True):
         _add_light(values, light, measure)
-    _add_views(values, scene, place.rays, library)
+    _add_views(values, scene, meter.rays, library)
     return SceneFacts(scene.index, split, dict(values), owned_by(scene, rig, library), _tokens(scene))
 
 

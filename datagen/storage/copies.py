@@ -4,9 +4,8 @@
         for record in source.scenes():
             part = scene_part(source, record.index)
             if not copy.keeps("scene_000000", part):
-                with whole_folder(out, "scene_000000") as folder:
+                with copy.filling_part("scene_000000", part) as folder:
                     ...
-                copy.add("scene_000000", part, files_of(out, "scene_000000"))
 
 What was stopped goes on where it was: each part is written down as it is done. What is damaged, or made from another
 state of its scene, is made anew.
@@ -16,7 +15,7 @@ import contextlib
 import importlib.metadata
 import shutil
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 from pydantic import TypeAdapter, ValidationError
@@ -39,11 +38,12 @@ from multilight.datagen.storage.manifest import (
     write_manifest,
 )
 from multilight.datagen.storage.source import DatasetSource
-from multilight.datagen.storage.store import file_inside
-from multilight.scenes.files.whole import write_whole
+from multilight.datagen.storage.store import file_inside, write_text
 
 WORK = "work"
 """Folder in the root where parts are made."""
+Report = Callable[[float, float], None]
+"""Called with how much is done and how much there is to do."""
 Files = Mapping[str, FileEntry]
 _JOURNALLED: TypeAdapter[tuple[str, ScenePart, dict[str, FileEntry]]] = TypeAdapter(
     tuple[str, ScenePart, dict[str, FileEntry]]
@@ -101,10 +101,17 @@ class Copy:
         found = {f"{name}/{file}": size for file, size in files_under(folder).items()}
         return not any(size_fault(files, found)) and dict(hashed(self.root, files)) == files
 
+    @contextlib.contextmanager
+    def filling_part(self, name: str, part: ScenePart) -> Iterator[Path]:
+        """Lend an empty folder for what is made of a scene; at the end it gets its name, and is recorded."""
+        with whole_folder(self.root, name) as folder:
+            yield folder
+        self.add(name, part, files_of(self.root, name))
+
     def add(self, name: str, part: ScenePart, files: Files) -> None:
         """Record a folder that is made, so that it is kept from now on."""
         if not self.changed:
-            self._reopen()
+            self.reopen()
         self._parts[name], self._files[name] = part, dict(files)
         self._append(name)
 
@@ -128,7 +135,7 @@ class Copy:
         work.mkdir(parents=True)
         yield work
         self._parts, self._files = {}, {}
-        self._reopen()
+        self.reopen()
         for old in self._begun.files:
             (self.root / old).unlink(missing_ok=True)
         for path in sorted(work.iterdir()):
@@ -149,11 +156,10 @@ class Copy:
             write_manifest(self.root, whole)
         (self.root / JOURNAL).unlink(missing_ok=True)
 
-    def _reopen(self) -> None:
+    def reopen(self) -> None:
         """Write down what there is as unfinished."""
         self.changed = True
-        with write_whole(self.root / JOURNAL) as work:
-            work.write_text(self._head.model_dump_json() + "\n")
+        write_text(self.root / JOURNAL, self._head.model_dump_json() + "\n")
         for name in self._parts:
             self._append(name)
         (self.root / MANIFEST).unlink(missing_ok=True)
@@ -185,7 +191,7 @@ def making(root: Path, kind: Kind, source: DatasetSource, settings: Settings) ->
             shutil.rmtree(root / WORK, ignore_errors=True)
         copy = Copy(root, head, begun or head)
         if begun is None:
-            copy._reopen()
+            copy.reopen()
         try:
             yield copy
         except BaseException:

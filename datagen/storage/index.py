@@ -10,6 +10,7 @@ import polars as pl
 from multilight.datagen.errors import StoreError
 from multilight.datagen.storage.parquet import check_parquet
 from multilight.datagen.storage.records import SceneRecord
+from multilight.datagen.storage.variants import ALL
 from multilight.lights.photometry.angular_size import angular_diameter
 from multilight.scenes.appearance import is_mirror, material_class
 from multilight.scenes.cameras.pinhole import focal_length_mm
@@ -53,7 +54,7 @@ COLUMNS: dict[str, tuple[pl.DataType, str]] = {
 }
 """Each column's type and meaning."""
 
-KEY_SHARE = 0.1  # of the light in the pictures: a lamp that gives less shapes no shadows one would notice
+LEAST_SHAPING = 0.1  # of the light in the pictures: a lamp that gives less shapes no shadows one would notice
 
 
 def index_table(records: Iterable[SceneRecord]) -> pl.DataFrame:
@@ -144,30 +145,29 @@ def _bodies(record: SceneRecord) -> dict[str, Any]:
 def _lights(record: SceneRecord) -> dict[str, Any]:
     lights = record.rig.lights
     places = [body.world_from_body for body in record.scene.bodies if body.role == "object"]
-    middle = np.mean([np.array(pose)[:3, 3] for pose in places], axis=0) if places else np.zeros(3)
-    diameters = [angular_diameter(light, middle) for light in lights]
+    centre = np.mean([np.array(pose)[:3, 3] for pose in places], axis=0) if places else np.zeros(3)
+    diameters = [angular_diameter(light, centre) for light in lights]
     sizes = [None if size is None else round(float(np.degrees(size)), 3) for size in diameters]
-    shares = light_shares(record)
-    strongest = max(shares)
-    shaping = [size for size, share in zip(sizes, shares, strict=True) if size is not None and share >= KEY_SHARE]
-    patterned = ("gobo", "profile", "texture")
+    fractions = light_fractions(record)
+    strongest = max(fractions)
+    shaping = [size for size, part in zip(sizes, fractions, strict=True) if size is not None and part >= LEAST_SHAPING]
     return {
         "lights": list(record.rig.names),
         "light_kinds": [light.kind for light in lights],
-        "light_shares": [round(share, 4) for share in shares],
+        "light_shares": [round(part, 4) for part in fractions],
         "light_sizes_deg": sizes,
         "temperatures_k": [light.colour_temperature for light in lights],
         "gels": sorted({light.gel for light in lights if light.gel}),
         "emissive": any(light.kind == "emissive" for light in lights),
-        "patterned": any(getattr(light, key, None) for light in lights for key in patterned),
+        "patterned": any(light.is_shaped for light in lights),
         "contrast_ev": round(float(np.log2(strongest / (1.0 - strongest))), 2) if 0 < strongest < 1 else None,
         "hardest_deg": min(shaping, default=None),
     }
 
 
-def light_shares(record: SceneRecord) -> list[float]:
-    """Return each light's share of the radiance in all views before denoising, in the rig's order; zeros if dark."""
+def light_fractions(record: SceneRecord) -> list[float]:
+    """Return each light's fraction of the radiance in all views before denoising, in the rig's order; zeros if dark."""
     names = record.rig.names
-    means = [np.mean([view.energy["all"][name].mean for view in record.views]) for name in names]
+    means = [np.mean([view.energy[ALL][name].mean for view in record.views]) for name in names]
     total = float(np.sum(means))
     return [float(mean) / total if total > 0 else 0.0 for mean in means]

@@ -19,8 +19,7 @@ from pydantic import Field, ValidationError
 
 from multilight.datagen.errors import StoreError
 from multilight.datagen.storage.source import DatasetSource
-from multilight.datagen.storage.store import file_sha256
-from multilight.scenes.files.whole import write_whole
+from multilight.datagen.storage.store import file_sha256, scene_folder, write_text
 from multilight.scenes.frozen import Frozen
 
 MANIFEST = "manifest.json"
@@ -90,8 +89,7 @@ def write_manifest(root: Path, manifest: Manifest) -> None:
     """Write `manifest.json`, a line a file."""
     head = json.dumps(manifest.sealed().model_dump(exclude={"files"}), indent=1, sort_keys=True).removesuffix("\n}")
     lines = [f"  {json.dumps(name)}: {_line(entry)}" for name, entry in sorted(manifest.files.items())]
-    with write_whole(root / MANIFEST) as work:
-        work.write_text(f'{head},\n "files": {{\n' + ",\n".join(lines) + "\n }\n}\n")
+    write_text(root / MANIFEST, f'{head},\n "files": {{\n' + ",\n".join(lines) + "\n }\n}\n")
 
 
 def read_manifest(root: Path) -> Manifest:
@@ -194,11 +192,12 @@ def origin_of(source: DatasetSource) -> Origin:
 
 def scene_part(source: DatasetSource, index: int) -> ScenePart:
     """Say which scene of a dataset, in which state, something is made from; raises `StoreError` where it is missing."""
-    with source.local(f"scenes/{index:06d}/scene.json") as path:
+    name = f"{scene_folder(index)}/scene.json"
+    with source.local(name) as path:
         try:
             return ScenePart(scene=index, record_sha256=file_sha256(path))
         except OSError as error:
-            raise StoreError(f"{source.address}/scenes/{index:06d}/scene.json: {error.strerror}") from None
+            raise StoreError(f"{source.address}/{name}: {error.strerror}") from None
 
 
 def _line(entry: FileEntry) -> str:

@@ -6,7 +6,7 @@ its hash.
 """
 
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -16,16 +16,14 @@ import numpy as np
 import polars as pl
 
 from multilight.datagen.errors import StoreError, UserError
-from multilight.datagen.storage.copies import Copy, files_of, making, whole_folder
+from multilight.datagen.storage.copies import Copy, Report, files_of, making, whole_folder
 from multilight.datagen.storage.index import index_bytes
 from multilight.datagen.storage.manifest import FileEntry, scene_part
 from multilight.datagen.storage.packed import PackedView, pack_view, read_packed, value_fault, write_packed
 from multilight.datagen.storage.source import DatasetSource, open_dataset
-from multilight.datagen.storage.store import ViewData
+from multilight.datagen.storage.store import ViewData, scene_folder
 from multilight.datagen.storage.training_source import VISIBLE, packed_file, visible_rows
 from multilight.scenes.files.whole import write_whole
-
-Report = Callable[[float, float], None]
 
 
 @dataclass(frozen=True)
@@ -46,22 +44,18 @@ def pack_dataset(address: str, out: Path, *, workers: int, report: Report) -> Pa
     `StoreError` where a scene cannot be read.
     """
     source = open_dataset(address)
-    if source.filesystem.exists(f"{source.root}/{VISIBLE}"):
+    if source.place.exists(VISIBLE):
         raise UserError(f"{address} is a packed dataset already")
     with making(out, "packed", source, {}) as copy:
         parts = {index: scene_part(source, index) for index in source.indices}
         if gone := sorted({part.scene for part in copy.parts.values()} - set(parts)):
             raise UserError(f"--out {out} holds scene {gone[0]}, which {address} has not; give another folder")
-        missing = [index for index, part in parts.items() if not copy.keeps(_folder(index), part)]
+        missing = [index for index, part in parts.items() if not copy.keeps(scene_folder(index), part)]
         report(0, len(missing))
         for done, (index, files) in enumerate(_pack_all(address, missing, out, workers), 1):
-            copy.add(_folder(index), parts[index], files)
+            copy.add(scene_folder(index), parts[index], files)
             report(done, len(missing))
         return _finish(source, copy, len(missing))
-
-
-def _folder(index: int) -> str:
-    return f"scenes/{index:06d}"
 
 
 _Made = tuple[int, dict[str, FileEntry]]
@@ -87,19 +81,21 @@ def pack_scene(address: str, index: int, out: Path) -> _Made:
     """Pack one scene; returns its index and the hashes of its files."""
     source = open_dataset(address, where=f"index = {index}")
     record = source.scene(index)
-    with whole_folder(out, _folder(index)) as work:
+    with whole_folder(out, scene_folder(index)) as work:
         for number, stated in enumerate(record.views):
             view = source.view(record, number)
             packed = pack_view(view, record, number)
             if fault := value_fault(packed):
-                raise StoreError(f"{address}/{_folder(index)}/{stated.file}: {fault}; see: multilight verify {address}")
+                raise StoreError(
+                    f"{address}/{scene_folder(index)}/{stated.file}: {fault}; see: multilight verify {address}"
+                )
             path = work / "views" / Path(packed_file(index, number)).name
             write_packed(path, packed)
             if fault := _difference(view, read_packed(path)):
                 raise StoreError(f"{path} does not read back as it was written: {fault}")
-        with source.local(f"{_folder(index)}/scene.json") as path:
+        with source.local(f"{scene_folder(index)}/scene.json") as path:
             shutil.copyfile(path, work / "scene.json")
-    return index, files_of(out, _folder(index))
+    return index, files_of(out, scene_folder(index))
 
 
 def _finish(source: DatasetSource, copy: Copy, made: int) -> Packed:

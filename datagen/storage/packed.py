@@ -19,6 +19,7 @@ from safetensors.numpy import save
 from multilight.datagen.errors import StoreError
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.store import HALF_MAX, ViewData
+from multilight.datagen.storage.variants import ALL, Variant, variants_of
 from multilight.lights.relight import gain_matrix
 from multilight.scenes.arrays import Float32, Float64
 
@@ -70,13 +71,13 @@ class PackedView:
 
     def variant(self, name: str) -> NDArray[np.floating]:
         """Put one variant together again: (L, H, W, 3) as stored; raises `KeyError` where there is none."""
-        if name == "all":
+        if name == ALL:
             return _joined(self.all, self.z_depth.shape).transpose(0, 2, 3, 1)
-        action, _, thing = name.partition("_")
-        tables = {"without": self.without, "foreground": self.foreground}
-        if action not in tables or thing not in self.objects:
+        if name not in variants_of(self.objects):
             raise KeyError(name)
-        numbers = tables[action][self.objects.index(thing)]
+        chosen = Variant(name)
+        table = self.without if chosen.action == "without" else self.foreground
+        numbers = table[self.objects.index(chosen.object)]
         whole = self.all.copy()
         kept = numbers != SAME
         whole[kept] = self.tiles[numbers[kept]]
@@ -93,11 +94,11 @@ def pack_view(view: ViewData, record: SceneRecord, number: int) -> PackedView:
     objects, camera = tuple(sorted(view.coverage)), record.views[number]
     peak = max(float(layers.max(initial=0.0)) for layers in view.variants.values())
     kind = np.float16 if peak <= HALF_MAX else np.float32
-    whole = _split(_filled(view.variants["all"].astype(kind)))
+    whole = _split(_filled(view.variants[ALL].astype(kind)))
     pool, alpha = _Pool((3, TILE, TILE), kind), _Pool((1, TILE, TILE), np.float16)
     tables: dict[str, NDArray[np.int32]] = {}
-    for action in ("without", "foreground"):
-        variants = (_split(_filled(view.variants[f"{action}_{name}"].astype(kind))) for name in objects)
+    for action, of in (("without", Variant.without), ("foreground", Variant.foreground)):
+        variants = (_split(_filled(view.variants[of(name)].astype(kind))) for name in objects)
         tables[action] = np.stack([pool.numbers(tiles, whole) for tiles in variants])
     cover = (_split(_filled(view.coverage[name][None, ..., None].astype(np.float16))) for name in objects)
     coverage = np.stack([alpha.numbers(tiles)[0] for tiles in cover])
@@ -203,7 +204,7 @@ class _Pool:
 
 
 def _filled(layers: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Turn (L, H, W, C) into (L, C, Y, X), filled up with zeros to whole tiles."""
+    """Lay (L, H, W, C) out as (L, C, Y, X), filled up with zeros to whole tiles."""
     count, height, width, channels = layers.shape
     full = np.zeros((count, channels, -(-height // TILE) * TILE, -(-width // TILE) * TILE), layers.dtype)
     full[..., :height, :width] = layers.transpose(0, 3, 1, 2)

@@ -104,7 +104,7 @@ class Place:
 
 @contextlib.contextmanager
 def outside_told(address: str) -> Iterator[None]:
-    """Turn a name that leads out of a dataset into a `StoreError`."""
+    """Raise `StoreError` for a name that leads out of a dataset."""
     try:
         yield
     except OutsideError as error:

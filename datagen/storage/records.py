@@ -12,6 +12,7 @@ from typing import Annotated, Any, Self
 from pydantic import Field, ValidationInfo, model_validator
 
 from multilight.datagen.config.dataset import DatasetConfig, RendererName
+from multilight.datagen.storage.variants import ALL
 from multilight.lights.spec import EmissiveLight, LightingCondition, LightRig
 from multilight.scenes.assets.splits import Split
 from multilight.scenes.frozen import Frozen, Matrix4
@@ -173,7 +174,7 @@ class SceneRecord(Schema):
                 yield f"view {number} is {view.width} x {view.height}, its camera {camera.width} x {camera.height}"
             if tuple(map(tuple, camera.intrinsics().tolist())) != view.K or view.c2w != camera.c2w:
                 yield f"view {number} states another K or c2w than its camera"
-            if set(view.energy.get("all", ())) != names or any(set(held) - names for held in view.energy.values()):
+            if set(view.energy.get(ALL, ())) != names or any(set(held) - names for held in view.energy.values()):
                 yield f"view {number} states the energy of other lights than the rig's {list(self.rig.names)}"
 
     def condition(self, name: str) -> LightingCondition:

@@ -11,19 +11,18 @@ import contextlib
 import hashlib
 import multiprocessing
 import sys
-import tempfile
 from collections.abc import Iterable, Iterator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
 import polars as pl
-from fsspec import AbstractFileSystem
 
 from multilight.datagen.errors import StoreError, UserError
 from multilight.datagen.storage.index import index_table, parse_index
-from multilight.datagen.storage.place import Place, find_place, outside_told
+from multilight.datagen.storage.place import Place, find_place
 from multilight.datagen.storage.records import GHOSTS, DatasetRecord, SceneRecord
 from multilight.datagen.storage.store import (
     COPIES,
@@ -36,9 +35,7 @@ from multilight.datagen.storage.store import (
     scene_number,
 )
 from multilight.datagen.text import plain
-from multilight.scenes.files.inside import inside
 from multilight.scenes.files.limits import shown
-from multilight.scenes.files.whole import write_whole
 
 OnBroken = Literal["raise", "skip"]
 MOST_INDEX = 1 << 29
@@ -60,7 +57,6 @@ class DatasetSource:
     record: DatasetRecord
     table: pl.DataFrame = field(repr=False)
     on_broken: OnBroken = "raise"
-    cache: Path | None = None
     skipped: dict[int, str] = field(default_factory=dict)
 
     @property
@@ -69,13 +65,8 @@ class DatasetSource:
         return self.place.address
 
     @property
-    def filesystem(self) -> AbstractFileSystem:
-        """The file system that the dataset lies on."""
-        return self.place.filesystem
-
-    @property
     def root(self) -> str:
-        """Where the dataset lies on it."""
+        """Where the dataset lies on its file system."""
         return self.place.root
 
     @property
@@ -92,7 +83,7 @@ class DatasetSource:
         """Read a scene's record; raises `StoreError` naming file and reason."""
         with self._remedy_told():
             record = read_record(self.place, index)
-            if (stated := self._stated(index)) not in ("", record.record_sha256):
+            if (stated := self._hashes.get(index, "")) not in ("", record.record_sha256):
                 raise StoreError(
                     f"{self.address}/{scene_folder(index)}/scene.json is not the one of the index: "
                     f"its hash is {record.record_sha256[:12]}…, not {stated[:12]}…"
@@ -107,6 +98,10 @@ class DatasetSource:
                 record = self.scene(index)
             if record is not None:
                 yield record
+
+    def views(self, record: SceneRecord) -> Iterator[ViewData]:
+        """Read the views of a scene, one after the other; raises `StoreError` as `view` does."""
+        return (self.view(record, number) for number in range(len(record.views)))
 
     @contextlib.contextmanager
     def passing_over(self, index: int) -> Iterator[None]:
@@ -135,40 +130,13 @@ class DatasetSource:
             except StoreError as error:
                 raise StoreError(str(error).replace(str(path), shown)) from None
 
-    @contextlib.contextmanager
-    def local(self, name: str) -> Iterator[Path]:
-        """Lend a file of the dataset as a local one.
-
-        Of a remote dataset it is a copy: in the cache's folder, or gone afterwards where there is none.
-        """
-        if self.is_local or self.cache is None:
-            with self.place.local(name) as path:
-                yield path
-        else:
-            yield self._cached(self.cache, name)
-
-    @contextlib.contextmanager
-    def local_scene(self, index: int) -> Iterator[Path]:
-        """Lend a scene's folder as a local one: its record and all its views; copies where the dataset is remote."""
-        if self.is_local:
-            with self.place.local(scene_folder(index)) as found:
-                yield found
-            return
-        with tempfile.TemporaryDirectory(prefix="multilight-") as temporary:
-            folder = Path(temporary) / scene_folder(index)
-            for name in ("scene.json", *(view.file for view in self.scene(index).views)):
-                content = self.place.read(f"{scene_folder(index)}/{name}")
-                path = inside(folder, name)
-                path.parent.mkdir(parents=True, exist_ok=True)
-                path.write_bytes(content)
-            yield folder
-
-    def _stated(self, index: int) -> str:
-        """Return the hash of a scene's record by the index, or nothing where that has none."""
-        return self._hashes.get(index, "")
+    def local(self, name: str) -> AbstractContextManager[Path]:
+        """Lend a file of the dataset as a local one: of a remote dataset a copy, gone afterwards."""
+        return self.place.local(name)
 
     @cached_property
     def _hashes(self) -> dict[int, str]:
+        """The hashes of the scenes' records by the index, where that has them."""
         if "record_sha256" not in self.table.columns:
             return {}
         return dict(self.table.select("index", "record_sha256").iter_rows())
@@ -179,36 +147,22 @@ class DatasetSource:
         try:
             yield
         except StoreError as error:
-            if not self.is_local or any(Path(self.root, name).exists() for name in COPIES):
+            if not self.is_local or any(self.place.exists(name) for name in COPIES):
                 raise
             raise StoreError(f"{error}; made anew by: {repair_command(self.address)}") from None
 
-    def _cached(self, cache: Path, name: str) -> Path:
-        """Fetch a file once; the folder is named after what decides the content, so another dataset is fetched anew."""
-        key = hashlib.sha256(f"{self.address}\n{self.record.canonical_json()}".encode()).hexdigest()[:16]
-        with outside_told(self.address):
-            path = inside(cache / key, name)
-        if not path.is_file():
-            content = self.place.read(name)
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with write_whole(path) as work:  # processes may fetch the same file at once
-                work.write_bytes(content)
-        return path
 
-
-def open_dataset(
-    address: str | Path, *, where: str | None = None, on_broken: OnBroken = "raise", cache: Path | None = None
-) -> DatasetSource:
+def open_dataset(address: str | Path, *, where: str | None = None, on_broken: OnBroken = "raise") -> DatasetSource:
     """Open a dataset for reading.
 
-    `where` is an SQL expression over the columns of the index, `kind = 'room' and emissive`, say. What is read from a
-    remote dataset is kept in the folder `cache`, where one is named. Raises `StoreError` where there is no dataset or
-    it is damaged, `UserError` where the address or the expression cannot be understood. The index of a dataset that
-    is not finished, or one that is not as `dataset.json` states it, is made up from its scenes, which is told.
+    `where` is an SQL expression over the columns of the index, `kind = 'room' and emissive`, say. Raises `StoreError`
+    where there is no dataset or it is damaged, `UserError` where the address or the expression cannot be understood.
+    The index of a dataset that is not finished, or one that is not as `dataset.json` states it, is made up from its
+    scenes, which is told.
     """
     place = find_place(address)
     record = parse_dataset(place.read("dataset.json", MOST_RECORD), f"{place.address}/dataset.json")
-    source = DatasetSource(place, record, index_table([]), on_broken, cache)
+    source = DatasetSource(place, record, index_table([]), on_broken)
     table = _index_of(source)
     return replace(source, table=table if where is None else select(table, where))
 

@@ -27,14 +27,14 @@ from pydantic import ValidationError
 from multilight.datagen.errors import StoreError
 from multilight.datagen.storage.layers import GeometryBuffers
 from multilight.datagen.storage.records import DatasetRecord, SceneRecord
+from multilight.datagen.storage.variants import ALL, RAW, variants_of
 from multilight.scenes.arrays import Float32
 from multilight.scenes.files.inside import OutsideError, held, inside
 from multilight.scenes.files.whole import write_whole
 
 _Record = TypeVar("_Record", SceneRecord, DatasetRecord)
-COMPRESSION = OpenEXR.ZIP_COMPRESSION
+HEADER = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}  # to be copied: the binding adds to it
 HALF_MAX = 65504.0
-RAW = "raw_"
 ALWAYS = {f"{name}.{c}" for name, channels in (
     ("combined", "RGB"), ("normal_world", "XYZ"), ("albedo", "RGB"), ("z_depth", "Z"), ("roughness", "Y"),
     ("metallic", "Y"), ("environment", "A"),
@@ -117,6 +117,12 @@ def write_view(path: Path, view: ViewData) -> None:
     OpenEXR.File(parts).write(str(path))
 
 
+def write_exr(path: Path, channels: Mapping[str, NDArray[np.floating]]) -> None:
+    """Write one picture as an OpenEXR file of one part: channels (H, W), or `RGB` (H, W, 3)."""
+    planes = {name: np.ascontiguousarray(plane) for name, plane in channels.items()}
+    OpenEXR.File(dict(HEADER), planes).write(str(path))
+
+
 def read_view(path: Path, stated: tuple[SceneRecord, int] | None = None) -> ViewData:
     """Read one view back; raises `StoreError` naming the file where it is missing, truncated or foreign.
 
@@ -134,19 +140,19 @@ def read_view(path: Path, stated: tuple[SceneRecord, int] | None = None) -> View
         if rest.count(".") == 1:
             groups.setdefault(variant, {})[rest.split(".")[0]] = None
     try:
-        lights = tuple(sorted(groups["all"]))
+        lights = tuple(sorted(groups[ALL]))
         stored = {part: np.stack([_color(channels, f"{part}.{light}") for light in lights]) for part in groups}
         return ViewData(
             lights=lights,
             variants={part: layers for part, layers in stored.items() if not part.startswith(RAW)},
             coverage={
-                name[len("coverage_") : -2]: channels[name].astype(np.float32)
+                name.removeprefix("coverage_").removesuffix(".A"): channels[name].astype(np.float32)
                 for name in channels
                 if name.startswith("coverage_")
             },
             geometry=_geometry(channels),
             combined=_color(channels, "combined"),
-            raw={part[len(RAW) :]: layers for part, layers in stored.items() if part.startswith(RAW)},
+            raw={part.removeprefix(RAW): layers for part, layers in stored.items() if part.startswith(RAW)},
         )
     except KeyError as error:
         raise StoreError(f"{path}: channel {error} is missing; damaged, or not a view of this layout") from None
@@ -227,8 +233,7 @@ def _color_channels(prefix: str, image: NDArray[np.floating]) -> dict[str, NDArr
 
 
 def _part(name: str, channels: Mapping[str, NDArray[np.generic]]) -> OpenEXR.Part:
-    header = {"compression": COMPRESSION, "type": OpenEXR.scanlineimage}
-    return OpenEXR.Part(header, dict(channels), name)
+    return OpenEXR.Part(dict(HEADER), dict(channels), name)
 
 
 def _layers_part(variant: str, lights: tuple[str, ...], layers: Float32) -> OpenEXR.Part:
@@ -262,8 +267,7 @@ def check_header(path: Path, record: SceneRecord, number: int) -> None:
     """
     view, header = record.views[number], _header(path)
     names = record.scene.insertable
-    variants = {"all"} | {f"{action}_{name}" for action in ("without", "foreground") for name in names}
-    layers = {f"{variant}.{light}.{c}" for variant in variants for light in record.rig.names for c in "RGB"}
+    layers = {f"{variant}.{light}.{c}" for variant in variants_of(names) for light in record.rig.names for c in "RGB"}
     wanted = layers | {f"coverage_{name}.A" for name in names} | ALWAYS
     found = set(header)
     if any(RAW + name in found for name in layers):

@@ -14,7 +14,7 @@ from multilight.datagen.storage.manifest import MANIFEST, parse_manifest, read_m
 from multilight.datagen.storage.packed import PackedView, pack_view, read_packed
 from multilight.datagen.storage.records import SceneRecord, view_file
 from multilight.datagen.storage.source import DatasetSource, open_dataset
-from multilight.datagen.storage.store import file_sha256
+from multilight.datagen.storage.store import file_sha256, scene_folder
 from multilight.scenes.assets.cache import default_cache
 from multilight.scenes.files.whole import write_whole
 
@@ -54,8 +54,8 @@ class TrainingSource:
 
     def size(self, scene: int, number: int) -> int:
         """Return the bytes of a view's file."""
-        name = packed_file(scene, number) if self.packed else f"scenes/{scene:06d}/{view_file(number)}"
-        return int(self.source.filesystem.size(f"{self.source.root}/{name}"))
+        name = packed_file(scene, number) if self.packed else f"{scene_folder(scene)}/{view_file(number)}"
+        return self.source.place.size(name) or 0
 
 
 def open_training(address: str | Path, *, where: str | None = None) -> TrainingSource:
@@ -66,7 +66,7 @@ def open_training(address: str | Path, *, where: str | None = None) -> TrainingS
     contents of those that are not views. Raises `StoreError` where there is no dataset or it is damaged.
     """
     source = open_dataset(address, where=where)
-    packed = source.filesystem.exists(f"{source.root}/{VISIBLE}")
+    packed = source.place.exists(VISIBLE)
     sizes, told = _checked(source) if packed else ({}, "")
     if packed:
         with source.local(VISIBLE) as path:
@@ -121,7 +121,7 @@ def _read_once(path: Path, size: int, changed: int) -> PackedView:
 
 def packed_file(scene: int, number: int) -> str:
     """Return a packed view's file name inside its dataset."""
-    return f"scenes/{scene:06d}/views/{number:02d}.safetensors"
+    return f"{scene_folder(scene)}/views/{number:02d}.safetensors"
 
 
 def visible_rows(record: SceneRecord, number: int, view: PackedView) -> list[dict[str, object]]:

@@ -2,6 +2,7 @@
 
 from multilight.datagen.errors import UserError
 from multilight.datagen.storage.store import ViewData
+from multilight.datagen.storage.variants import ALL, Variant
 from multilight.lights.relight import mix
 from multilight.lights.spec import LightingCondition
 from multilight.scenes.arrays import Float32
@@ -9,12 +10,12 @@ from multilight.scenes.arrays import Float32
 
 def target(view: ViewData, lit: LightingCondition) -> Float32:
     """Return the true picture with every object, (H, W, 3) linear radiance."""
-    return mix(view.variants["all"], view.lights, lit)
+    return mix(view.variants[ALL], view.lights, lit)
 
 
 def background(view: ViewData, removed: str, lit: LightingCondition) -> Float32:
     """Return the picture without object `removed`: no shadow, reflection or glow of it, (H, W, 3)."""
-    return mix(_variant(view, f"without_{removed}"), view.lights, lit)
+    return mix(_variant(view, Variant.without(removed)), view.lights, lit)
 
 
 def composite(view: ViewData, inserted: str, *, insert: LightingCondition, base: LightingCondition) -> Float32:
@@ -23,7 +24,7 @@ def composite(view: ViewData, inserted: str, *, insert: LightingCondition, base:
     The object's own radiance is premultiplied by its coverage, so edges carry no halo:
     foreground(insert) + (1 - coverage) * background(base)  (Porter and Duff 1984, "over").
     """
-    foreground = mix(_variant(view, f"foreground_{inserted}"), view.lights, insert)
+    foreground = mix(_variant(view, Variant.foreground(inserted)), view.lights, insert)
     uncovered = (1.0 - view.coverage[inserted])[..., None]
     return foreground + uncovered * background(view, inserted, base)
 
@@ -33,10 +34,8 @@ def effect(view: ViewData, removed: str, lit: LightingCondition) -> Float32:
     return target(view, lit) - background(view, removed, lit)
 
 
-def _variant(view: ViewData, variant: str) -> Float32:
+def _variant(view: ViewData, variant: Variant) -> Float32:
     try:
         return view.variants[variant]
     except KeyError:
-        raise UserError(
-            f"object {variant.partition('_')[2]!r} is not insertable; choose one of {list(view.coverage)}"
-        ) from None
+        raise UserError(f"object {variant.object!r} is not insertable; choose one of {list(view.coverage)}") from None

@@ -4,8 +4,6 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-import OpenEXR
 from PIL import Image
 from pydantic import ValidationError
 
@@ -13,7 +11,8 @@ from multilight.datagen.errors import UserError
 from multilight.datagen.files.outputs import check_file, written
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.source import open_dataset
-from multilight.datagen.storage.store import ViewData
+from multilight.datagen.storage.store import ViewData, write_exr
+from multilight.datagen.storage.variants import ALL
 from multilight.datagen.tuples import compose
 from multilight.datagen.tuples.exposure import meter_condition, thumbnail
 from multilight.datagen.tuples.request import MixRequest
@@ -47,8 +46,7 @@ def write_mix(request: MixRequest) -> None:
     picture = _picture(what, view, name, insert, base)
     with written(out) as work:
         if out.suffix == ".exr":
-            header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-            OpenEXR.File(header, {"RGB": np.ascontiguousarray(picture)}).write(str(work))
+            write_exr(work, {"RGB": picture})
         else:
             shown = effect_picture(picture) if what == "effect" else to_display(picture)
             Image.fromarray(shown).save(work)
@@ -62,7 +60,7 @@ def find_condition(text: str, record: SceneRecord, view: ViewData) -> LightingCo
             raise UserError(f"condition {shown(text)}: the seed must be a whole number of at most 10 digits")
         rng = Streams(int(seed), record.index)("mix")
         drawn = random_condition(rng, record.rig, f"random_{seed}")
-        return meter_condition(drawn, view.lights, [thumbnail(view.variants["all"])])
+        return meter_condition(drawn, view.lights, [thumbnail(view.variants[ALL])])
     if text in (names := [condition.name for condition in record.conditions]):
         return record.condition(text)
     path = Path(text)

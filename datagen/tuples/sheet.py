@@ -18,11 +18,10 @@ from multilight.scenes.arrays import Float32, UInt8
 COLUMNS = ("background", "composite", "target", "z_depth", "effect")
 MARGIN, HEADER = 6, 20
 SHOWN = 0.01
-"""Share of a picture that its largest insertable object should cover to be looked at."""
-Pixels = UInt8
+"""Fraction of a picture that its largest insertable object should cover to be looked at."""
 
 
-def depth_picture(z_depth: Float32) -> Pixels:
+def depth_picture(z_depth: Float32) -> UInt8:
     """Show planar depth as grey, near bright, (H, W, 3) uint8; pixels without geometry are black."""
     seen = z_depth > 0
     if not seen.any():
@@ -32,7 +31,7 @@ def depth_picture(z_depth: Float32) -> Pixels:
     return np.repeat((grey * 255).astype(np.uint8)[..., None], 3, axis=2)
 
 
-def effect_picture(effect: Float32) -> Pixels:
+def effect_picture(effect: Float32) -> UInt8:
     """Show an exposed, signed difference about middle grey, (H, W, 3) uint8: shadows dark, glow bright."""
     scaled = np.tanh(effect * 1.5) * 0.5 + 0.5
     return (scaled * 255).round().astype(np.uint8)
@@ -46,7 +45,7 @@ def two_conditions(record: SceneRecord, shift: int) -> tuple[LightingCondition, 
     return poor[shift % len(poor)], rich[shift % len(rich)]
 
 
-def scene_row(record: SceneRecord, data: ViewData, *, shift: int) -> list[Pixels]:
+def scene_row(record: SceneRecord, data: ViewData, *, shift: int) -> list[UInt8]:
     """Make one row of pictures in the order of `COLUMNS`, each (H, W, 3) uint8."""
     largest = max(data.coverage, key=lambda name: float(data.coverage[name].sum()))
     insert, base = two_conditions(record, shift)
@@ -73,10 +72,10 @@ def telling_view(views: Iterable[tuple[int, ViewData]]) -> tuple[int, ViewData]:
     """Return the first view that shows an insertable object well, or else the one that shows most; reads no further."""
     best, most = None, -1.0
     for number, data in views:
-        share = max(float(coverage.mean()) for coverage in data.coverage.values())
-        if share > most:
-            best, most = (number, data), share
-        if share >= SHOWN:
+        covered = max(float(coverage.mean()) for coverage in data.coverage.values())
+        if covered > most:
+            best, most = (number, data), covered
+        if covered >= SHOWN:
             break
     assert best is not None, "a scene has a view"
     return best

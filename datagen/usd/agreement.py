@@ -11,7 +11,7 @@ RELATIVE, ABSOLUTE = 1e-5, 1e-6
 
 
 def agree(read: Frozen, written: Frozen) -> bool:
-    """Tell whether all numbers agree within 1e-5 (angles of rotation modulo a turn, directions by where they point)."""
+    """Tell whether all numbers agree within 1e-5 (rotations modulo 2 pi, directions by where they point)."""
     return _same(read.model_dump(mode="json"), written.model_dump(mode="json"), "")
 
 

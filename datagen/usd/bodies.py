@@ -8,7 +8,7 @@ import numpy as np
 from pxr import Gf, Sdf, UsdGeom, UsdShade, Vt
 
 from multilight.datagen.storage.records import AssetCredit
-from multilight.datagen.usd.layout import own
+from multilight.datagen.usd.layout import set_own
 from multilight.datagen.usd.materials import Materials
 from multilight.lights.spec import EmissiveLight
 from multilight.scenes.arrays import Float32, Int64
@@ -46,7 +46,7 @@ def add_body(
     _describe(mesh.GetPrim(), body)
     counts = np.cumsum([0, *(len(part.faces) for part in parts)])
     places = _bind(mesh, body, counts, materials, glows)
-    mesh.GetPrim().CreateAttribute(own("geometry"), _TYPES.String, custom=True).Set(geometry_digest(mesh))
+    set_own(mesh.GetPrim(), "geometry", _TYPES.String, geometry_digest(mesh))
     return places
 
 
@@ -84,7 +84,7 @@ def _describe(prim: Any, body: Body) -> None:
         case MeshAsset() as shape:
             words |= {"asset": (_TYPES.String, shape.asset), "meshSha256": (_TYPES.String, shape.mesh_sha256)}
     for name, (kind, value) in words.items():
-        prim.CreateAttribute(own(name), kind, custom=True).Set(value)
+        set_own(prim, name, kind, value)
 
 
 def credit(prim: Any, asset: AssetCredit) -> None:

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from pxr import Gf, Sdf, UsdGeom, UsdRender
 
-from multilight.datagen.usd.layout import RENDER, SENSOR, own
+from multilight.datagen.usd.layout import RENDER, SENSOR, set_own
 from multilight.lights.photometry.radiometry import LUMINOUS_EFFICACY
 from multilight.scenes.spec import Camera
 
@@ -13,7 +13,7 @@ NEAR, FAR = 1e-3, 1e5
 
 
 def add_camera(stage: Any, path: str, camera: Camera) -> None:
-    """Write a camera. Its responsivity turns the lights' luminances into the radiance that datasets hold."""
+    """Write a camera. Its responsivity makes of the lights' luminances the radiance that datasets hold."""
     made = UsdGeom.Camera.Define(stage, path)
     made.AddTransformOp().Set(Gf.Matrix4d(*np.array(camera.c2w).T.ravel().tolist()))
     height = SENSOR * camera.height / camera.width * camera.fx / camera.fy
@@ -29,8 +29,7 @@ def add_camera(stage: Any, path: str, camera: Camera) -> None:
     # The f-number is the focal length over the aperture's diameter; 0 stands for a pinhole.
     made.CreateFStopAttr(focal / 10 / (2 * camera.aperture_radius) if camera.aperture_radius > 0 else 0.0)
     made.CreateExposureResponsivityAttr(1 / LUMINOUS_EFFICACY)
-    size = Gf.Vec2i(camera.width, camera.height)
-    made.GetPrim().CreateAttribute(own("resolution"), Sdf.ValueTypeNames.Int2, custom=True).Set(size)
+    set_own(made.GetPrim(), "resolution", Sdf.ValueTypeNames.Int2, Gf.Vec2i(camera.width, camera.height))
 
 
 def add_render_settings(stage: Any, path: str, camera: Camera) -> None:

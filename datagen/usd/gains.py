@@ -1,4 +1,4 @@
-"""What a lighting condition turns: the colour and strength of each light, set anew in every variant."""
+"""What a lighting condition sets: the colour and strength of each light, set anew in every variant."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from multilight.scenes.frozen import Rgb
 
 
 @dataclass(frozen=True)
-class LampDial:
+class LampStrength:
     """A UsdLux light: `level` is its intensity attribute at each channel, in the unit of that light."""
 
     light: str
@@ -20,7 +20,7 @@ class LampDial:
     color: Any
     level: Rgb
 
-    def turn(self, gain: Sequence[float]) -> None:
+    def set_gain(self, gain: Sequence[float]) -> None:
         """Author colour and intensity for a gain (R, G, B) in the current edit target."""
         amount = np.array(self.level) * np.array(gain, np.float64)
         peak = float(amount.max())
@@ -29,7 +29,7 @@ class LampDial:
 
 
 @dataclass(frozen=True)
-class GlowDial:
+class GlowStrength:
     """A glowing material: its emissive colour [cd/m²], or the scale of the picture that feeds it."""
 
     light: str
@@ -37,13 +37,13 @@ class GlowDial:
     level: Rgb
     textured: bool
 
-    def turn(self, gain: Sequence[float]) -> None:
+    def set_gain(self, gain: Sequence[float]) -> None:
         """Author the colour for a gain (R, G, B) in the current edit target."""
         red, green, blue = (float(v) for v in np.array(self.level) * np.array(gain, np.float64))
         self.target.Set(Gf.Vec4f(red, green, blue, 1.0) if self.textured else Gf.Vec3f(red, green, blue))
 
 
-Dial = LampDial | GlowDial
+Strength = LampStrength | GlowStrength
 
 
 def photometric(amount: Rgb) -> Rgb:

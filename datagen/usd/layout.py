@@ -1,5 +1,7 @@
 """The layout of the project's own stages: what is where, shared by the writer and the reader."""
 
+from typing import Any
+
 from multilight.scenes.assets.formats.usd.names import OWN
 from multilight.scenes.cameras.pinhole import SENSOR_MM
 
@@ -15,3 +17,13 @@ SENSOR = SENSOR_MM / 100
 def own(name: str) -> str:
     """Return the name of an attribute of the project's own."""
     return f"{OWN}:{name}"
+
+
+def get_own(prim: Any, name: str) -> Any:
+    """Return the value of an attribute of the project's own; None where the prim has none."""
+    return prim.GetAttribute(own(name)).Get() if prim.HasAttribute(own(name)) else None
+
+
+def set_own(prim: Any, name: str, kind: Any, value: Any) -> None:
+    """Write an attribute of the project's own, of a type of `Sdf.ValueTypeNames`."""
+    prim.CreateAttribute(own(name), kind, custom=True).Set(value)

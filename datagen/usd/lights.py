@@ -8,12 +8,12 @@ from numpy.typing import ArrayLike
 from pxr import Gf, Sdf, UsdGeom, UsdLux
 
 from multilight.datagen.usd.files import Files
-from multilight.datagen.usd.gains import LampDial, photometric
-from multilight.datagen.usd.layout import own
+from multilight.datagen.usd.gains import LampStrength, photometric
+from multilight.datagen.usd.layout import own, set_own
 from multilight.lights.photometry.directions import spot_frame
 from multilight.lights.spec import AreaLight, EmissiveLight, EnvironmentLight, Light, PointLight, SpotLight, SunLight
 from multilight.scenes.assets.formats.usd.names import IMAGE
-from multilight.scenes.frozen import Rgb, Vector3
+from multilight.scenes.frozen import Vector3
 from multilight.scenes.poses import pose_of
 
 _TYPES = Sdf.ValueTypeNames
@@ -21,34 +21,34 @@ POINT_RADIUS = 0.001
 """Radius [m] that a light without size has for renderers that know no points; its power does not depend on it."""
 
 
-def add_light(stage: Any, path: str, light: Light, files: Files) -> LampDial:
-    """Write a light other than an emissive one, its strength left to the variants; return what they turn."""
+def add_light(stage: Any, path: str, light: Light, files: Files) -> LampStrength:
+    """Write a light other than an emissive one, its strength left to the variants; return what they set."""
     match light:
         case EnvironmentLight():
-            made, level = _dome(stage, path, light, files)
+            made = _dome(stage, path, light, files)
         case SunLight():
             made = UsdLux.DistantLight.Define(stage, path)
             made.CreateAngleAttr(math.degrees(light.angle))
             made.CreateNormalizeAttr(True)
             _place(made, (0.0, 0.0, 0.0), spot_frame(light.direction))
-            level = photometric(light.irradiance)
         case AreaLight():
-            made, level = _area(stage, path, light), photometric(light.radiance)
+            made = _area(stage, path, light)
         case PointLight():
-            made, level = _sphere(stage, path, light), photometric(light.intensity)
+            made = _sphere(stage, path, light)
             _place(made, light.position, spot_frame(light.direction))
             if light.profile is not None:
                 _profile(made, light.profile, files)
         case SpotLight():
-            made, level = _sphere(stage, path, light), photometric(light.intensity)
+            made = _sphere(stage, path, light)
             _place(made, light.position, spot_frame(light.direction, light.roll))
             _cone(made, light, files)
         case EmissiveLight():
             raise TypeError(f"light {light.name!r} is a material, not a UsdLux light")
     _describe(made.GetPrim(), light)
     strength = _per_luminance(light)
-    level = (level[0] * strength, level[1] * strength, level[2] * strength)
-    return LampDial(light.name, made.CreateIntensityAttr(), made.CreateColorAttr(), level)
+    red, green, blue = photometric(light.amount)
+    level = (red * strength, green * strength, blue * strength)
+    return LampStrength(light.name, made.CreateIntensityAttr(), made.CreateColorAttr(), level)
 
 
 def add_glow(stage: Any, path: str, light: EmissiveLight, part: str) -> None:
@@ -67,22 +67,22 @@ def _per_luminance(light: Light) -> float:
 
 def _describe(prim: Any, light: Light) -> None:
     if light.colour_temperature is not None:
-        prim.CreateAttribute(own("colourTemperature"), _TYPES.Double, custom=True).Set(light.colour_temperature)
+        set_own(prim, "colourTemperature", _TYPES.Double, light.colour_temperature)
     if light.gel is not None:
-        prim.CreateAttribute(own("gel"), _TYPES.String, custom=True).Set(light.gel)
+        set_own(prim, "gel", _TYPES.String, light.gel)
 
 
-def _dome(stage: Any, path: str, light: EnvironmentLight, files: Files) -> tuple[Any, Rgb]:
-    """Write a dome: its pole (+Y) upright, its middle (+Z) where the map's centre column looks."""
+def _dome(stage: Any, path: str, light: EnvironmentLight, files: Files) -> Any:
+    """Write a dome: its pole (+Y) upright, its centre (+Z) where the map's centre column looks."""
     made = UsdLux.DomeLight.Define(stage, path)
-    turned = math.cos(light.rotation), math.sin(light.rotation)
-    left, pole, middle = (-turned[1], turned[0], 0.0), (0.0, 0.0, 1.0), (turned[0], turned[1], 0.0)
-    _place(made, (0.0, 0.0, 0.0), np.stack([left, pole, middle], axis=1))
+    x, y = math.cos(light.rotation), math.sin(light.rotation)
+    left, pole, centre = (-y, x, 0.0), (0.0, 0.0, 1.0), (x, y, 0.0)
+    _place(made, (0.0, 0.0, 0.0), np.stack([left, pole, centre], axis=1))
     if light.map is not None:
         made.CreateTextureFileAttr(files.environment(light.map))
         made.CreateTextureFormatAttr(UsdLux.Tokens.latlong)
         made.GetPrim().CreateAttribute(IMAGE, _TYPES.String, custom=True).Set(light.map)
-    return made, photometric(light.radiance)
+    return made
 
 
 def _area(stage: Any, path: str, light: AreaLight) -> Any:
@@ -115,15 +115,14 @@ def _cone(made: Any, light: SpotLight, files: Files) -> None:
     shaping.CreateShapingConeAngleAttr(math.degrees(light.half_angle))
     shaping.CreateShapingConeSoftnessAttr(light.blend)
     if light.gobo is not None:
-        prim = made.GetPrim()
-        prim.CreateAttribute(own("gobo"), _TYPES.Asset, custom=True).Set(files.texture(light.gobo))
-        prim.CreateAttribute(IMAGE, _TYPES.String, custom=True).Set(light.gobo)
+        set_own(made.GetPrim(), "gobo", _TYPES.Asset, files.texture(light.gobo))
+        made.GetPrim().CreateAttribute(IMAGE, _TYPES.String, custom=True).Set(light.gobo)
 
 
 def _profile(made: Any, profile: tuple[float, ...], files: Files) -> None:
     shaping = UsdLux.ShapingAPI.Apply(made.GetPrim())
     shaping.CreateShapingIesFileAttr(files.luminaire(profile))
-    made.GetPrim().CreateAttribute(own("profile"), _TYPES.DoubleArray, custom=True).Set(list(profile))
+    set_own(made.GetPrim(), "profile", _TYPES.DoubleArray, list(profile))
 
 
 def _place(made: Any, position: Vector3 | ArrayLike, axes: ArrayLike) -> None:

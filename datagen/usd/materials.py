@@ -6,7 +6,7 @@ import numpy as np
 from pxr import Gf, Sdf, UsdShade
 
 from multilight.datagen.usd.files import Files
-from multilight.datagen.usd.gains import GlowDial, photometric
+from multilight.datagen.usd.gains import GlowStrength, photometric
 from multilight.lights.spec import EmissiveLight
 from multilight.scenes.assets.formats.usd.names import BASE, IMAGE, NAME, OPACITY, TRANSMISSION
 from multilight.scenes.colour import LUMINANCE_WEIGHTS
@@ -16,12 +16,12 @@ _TYPES = Sdf.ValueTypeNames
 
 
 class Materials:
-    """Writes each distinct (material, glow) of a scene once, under `scope`; `dials` holds those that glow."""
+    """Writes each distinct (material, glow) of a scene once, under `scope`; `strengths` are those of what glows."""
 
     def __init__(self, stage: Any, scope: str, files: Files) -> None:
         self._stage, self._scope, self._files = stage, scope, files
         self._made: dict[tuple[Material, str | None], Any] = {}
-        self.dials: list[GlowDial] = []
+        self.strengths: list[GlowStrength] = []
 
     def get(self, material: Material, light: EmissiveLight | None = None) -> Any:
         """Return the UsdShade material of a surface, and of the light that its part gives off."""
@@ -37,7 +37,7 @@ class Materials:
         surface = UsdShade.Shader.Define(self._stage, f"{path}/surface")
         surface.CreateIdAttr("UsdPreviewSurface")
         network = _Network(self._stage, path, surface, self._files)
-        opaque = _opaque_share(material)
+        opaque = _opaque_fraction(material)
         # What is neither reflected nor let through is absorbed, as in coloured glass.
         dim = 1.0 if material.transmission == 0 else (1.0 - material.transmission) / opaque
         red, green, blue = (value * dim for value in material.base_color)
@@ -66,11 +66,11 @@ class Materials:
             node = network.picture("emissive", light.texture, "sRGB")
             network.connect("emissiveColor", _TYPES.Color3f, node, "rgb", _TYPES.Float3)
             target = node.CreateInput("scale", _TYPES.Float4)
-        self.dials.append(GlowDial(light.name, target, level, textured=light.texture is not None))
+        self.strengths.append(GlowStrength(light.name, target, level, textured=light.texture is not None))
 
 
-def _opaque_share(material: Material) -> float:
-    """Return the share of light that a surface stops: UsdPreviewSurface knows grey glass only, and no refraction."""
+def _opaque_fraction(material: Material) -> float:
+    """Return the fraction of light that a surface stops: UsdPreviewSurface knows grey glass only, and no refraction."""
     return max(1.0 - material.transmission * float(np.dot(LUMINANCE_WEIGHTS, material.base_color)), 0.01)
 
 
@@ -84,7 +84,7 @@ def _clear(network: "_Network", prim: Any, material: Material) -> None:
         scale.Set(Gf.Vec4f(red, green, blue, material.opacity))
         network.connect("opacity", _TYPES.Float, node, "a", _TYPES.Float)
     else:
-        surface.CreateInput("opacity", _TYPES.Float).Set(material.opacity * _opaque_share(material))
+        surface.CreateInput("opacity", _TYPES.Float).Set(material.opacity * _opaque_fraction(material))
     if material.transmission > 0:
         for name, value in ((TRANSMISSION, material.transmission), (OPACITY, material.opacity)):
             prim.CreateAttribute(name, _TYPES.Float, custom=True).Set(value)

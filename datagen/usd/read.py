@@ -13,7 +13,7 @@ from pxr import Usd, UsdGeom, UsdLux
 from pydantic import ValidationError
 
 from multilight.datagen.errors import UserError
-from multilight.datagen.usd import layout as words
+from multilight.datagen.usd import layout
 from multilight.datagen.usd.agreement import agree
 from multilight.datagen.usd.read_bodies import BodyReader
 from multilight.datagen.usd.read_lights import read_lights
@@ -42,9 +42,9 @@ def read_stage(path: Path, library: AssetLibrary) -> StageScene:
     """
     stage = open_stage(path)
     said = stage.GetRootLayer().customLayerData.get(OWN, {})
-    if said.get("schema") != words.SCHEMA:
+    if said.get("schema") != layout.SCHEMA:
         raise UserError(
-            f"{path} was not written by `multilight export usd` (layout {words.SCHEMA}); set scenes in it with: "
+            f"{path} was not written by `multilight export usd` (layout {layout.SCHEMA}); set scenes in it with: "
             f"multilight dataset --kind custom --background {path}"
         )
     _select_rig(stage, path)
@@ -63,7 +63,7 @@ def read_stage(path: Path, library: AssetLibrary) -> StageScene:
     if not bodies.bodies or not cameras:
         raise UserError(f"{path} has {len(bodies.bodies)} mesh(es) and {len(cameras)} camera(s); it needs one of each")
     scene = SceneSpec(kind=said["kind"], index=said["index"], bodies=tuple(bodies.bodies), cameras=cameras)
-    shining = [p for p in prims if p.HasAPI(UsdLux.LightAPI) or p.GetRelationship(words.own("part"))]
+    shining = [p for p in prims if p.HasAPI(UsdLux.LightAPI) or p.GetRelationship(layout.own("part"))]
     rig = LightRig(lights=read_lights(path, shining, place, bodies=bodies, library=library))
     written = _written(said)
     if written is not None and agree(scene, written[0]) and agree(rig, written[1]):
@@ -81,10 +81,10 @@ def _written(said: dict[str, Any]) -> tuple[SceneSpec, LightRig] | None:
 
 def _select_rig(stage: Any, path: Path) -> None:
     """Choose the rig's variant for this reading only."""
-    world = stage.GetPrimAtPath(words.WORLD)
+    world = stage.GetPrimAtPath(layout.WORLD)
     variants = world.GetVariantSet(VARIANTS) if world else None
     if variants is None or RIG not in variants.GetVariantNames():
-        raise UserError(f"{path} has no variant {RIG!r} of {VARIANTS!r} on {words.WORLD}; export the scene again")
+        raise UserError(f"{path} has no variant {RIG!r} of {VARIANTS!r} on {layout.WORLD}; export the scene again")
     with Usd.EditContext(stage, stage.GetSessionLayer()):
         variants.SetVariantSelection(RIG)
 
@@ -92,12 +92,12 @@ def _select_rig(stage: Any, path: Path) -> None:
 def _camera(prim: Any, pose: Any, path: Path) -> Camera:
     """Read a camera; its size in pixels is its own, else that of the stage's render settings."""
     camera = UsdGeom.Camera(prim)
-    size = prim.GetAttribute(words.own("resolution")).Get()
+    size = layout.get_own(prim, "resolution")
     if size is None:
-        settings = prim.GetStage().GetPrimAtPath(f"{words.RENDER}/settings")
+        settings = prim.GetStage().GetPrimAtPath(f"{layout.RENDER}/settings")
         size = settings.GetAttribute("resolution").Get() if settings else None
     if size is None:
-        raise UserError(f"{path}: the camera {prim.GetPath()} has no size; give it int2 {words.own('resolution')}")
+        raise UserError(f"{path}: the camera {prim.GetPath()} has no size; give it int2 {layout.own('resolution')}")
     width, height = int(size[0]), int(size[1])
     across, down = (float(a.Get()) for a in (camera.GetHorizontalApertureAttr(), camera.GetVerticalApertureAttr()))
     focal, stop = float(camera.GetFocalLengthAttr().Get()), float(camera.GetFStopAttr().Get())

@@ -1,6 +1,7 @@
 """Meshes of a stage as bodies: of the models they were made of where unchanged, else of the stage's own triangles."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +9,7 @@ from pxr import UsdGeom, UsdShade
 
 from multilight.datagen.errors import UserError
 from multilight.datagen.usd.bodies import geometry_digest
-from multilight.datagen.usd.layout import own
+from multilight.datagen.usd.layout import get_own
 from multilight.scenes.assets.formats.scene_file import Emission, image_digest
 from multilight.scenes.assets.formats.usd.materials import Picture, bound_surface, read_material
 from multilight.scenes.assets.library import AssetError, AssetLibrary
@@ -56,7 +57,7 @@ class BodyReader:
 
     def _geometry(self, prim: Any, parts: int) -> Geometry | None:
         """Return what a mesh stands for; None where its triangles were changed, or its model is not installed."""
-        value = _words(prim)
+        value = partial(get_own, prim)
         if value("geometry") != geometry_digest(UsdGeom.Mesh(prim)):
             return None
         match value("shape"):
@@ -86,7 +87,7 @@ class BodyReader:
         piece = pieces[prim.GetName()[:80]]
         mesh = pack.mesh(piece.name)
         geometry = MeshAsset(asset=f"{PACK}/{piece.name}", mesh_sha256=mesh.sha256(), parts=len(mesh.parts))
-        name = prim.GetName() if _words(prim)("role") else piece.name
+        name = prim.GetName() if get_own(prim, "role") else piece.name
         self._add(prim, name, geometry, tuple(p.material for p in mesh.parts), piece.world_from_body)
         shining = [light for light in pack.lights if light.node == piece.name]
         bright = [
@@ -98,7 +99,7 @@ class BodyReader:
             self.glows[place] = name, light.part, Emission(light.amount, light.unit, light.texture)
 
     def _add(self, prim: Any, name: str, geometry: Geometry, materials: tuple[Material, ...], pose: Any) -> None:
-        value = _words(prim)
+        value = partial(get_own, prim)
         self.bodies.append(
             Body(
                 name=name,
@@ -117,8 +118,3 @@ def _surfaces(prim: Any) -> list[tuple[str, Any]]:
     subsets = UsdShade.MaterialBindingAPI(prim).GetMaterialBindSubsets()
     holders = [subset.GetPrim() for subset in subsets] or [prim]
     return [(str(holder.GetPath()), bound_surface(holder)) for holder in holders]
-
-
-def _words(prim: Any) -> Callable[[str], Any]:
-    """Return a function that looks up an attribute of the project's own: name → value or None."""
-    return lambda name: prim.GetAttribute(own(name)).Get() if prim.HasAttribute(own(name)) else None

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from multilight.datagen.errors import UserError
-from multilight.datagen.usd.layout import own
+from multilight.datagen.usd.layout import get_own, own
 from multilight.datagen.usd.read_bodies import BodyReader
 from multilight.lights.photometry.directions import spot_frame
 from multilight.lights.photometry.radiometry import watts_from_photometric
@@ -54,7 +54,7 @@ def _lamp(path: Path, reader: LightReader, prim: Any, place: Callable[[Any], Any
         case "sun":
             more["angle"] = found.angle
         case "point":
-            profile = _word(prim, "profile")
+            profile = get_own(prim, "profile")
             more |= {"profile": None if profile is None else tuple(profile)}
             more["direction"] = tuple((-np.array(found.pose)[:3, 2]).tolist())
         case "spot":
@@ -82,18 +82,14 @@ def _glow(path: Path, prim: Any, bodies: BodyReader) -> EmissiveLight:
 
 
 def _source(prim: Any) -> dict[str, Any]:
-    return {"colour_temperature": _word(prim, "colourTemperature"), "gel": _word(prim, "gel")}
+    return {"colour_temperature": get_own(prim, "colourTemperature"), "gel": get_own(prim, "gel")}
 
 
 def _gobo(path: Path, prim: Any, bodies: BodyReader) -> str | None:
-    file = _word(prim, "gobo")
+    file = get_own(prim, "gobo")
     if file is None:
         return None
     asset = prim.GetAttribute(IMAGE).Get()
     if asset is None or not file.resolvedPath or not bodies.is_installed(asset, Path(file.resolvedPath)):
         raise UserError(f"{path}: the gobo {asset!r} of {prim.GetPath()} is not installed as it was; install its pack")
     return str(asset)
-
-
-def _word(prim: Any, name: str) -> Any:
-    return prim.GetAttribute(own(name)).Get() if prim.HasAttribute(own(name)) else None

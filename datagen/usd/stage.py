@@ -8,11 +8,11 @@ from pxr import Sdf, Usd, UsdGeom
 
 from multilight.datagen.backends.parts import body_parts, glowing_parts
 from multilight.datagen.storage.records import SceneRecord
-from multilight.datagen.usd import layout as words
+from multilight.datagen.usd import layout
 from multilight.datagen.usd.bodies import add_body, credit
 from multilight.datagen.usd.cameras import add_camera, add_render_settings
 from multilight.datagen.usd.files import Files
-from multilight.datagen.usd.gains import Dial
+from multilight.datagen.usd.gains import Strength
 from multilight.datagen.usd.lights import add_glow, add_light
 from multilight.datagen.usd.materials import Materials
 from multilight.lights.relight import gain_matrix
@@ -35,26 +35,26 @@ def write_stage(record: SceneRecord, library: AssetLibrary, folder: Path) -> Pat
     files = Files(library, folder)
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    world = UsdGeom.Xform.Define(stage, words.WORLD).GetPrim()
+    world = UsdGeom.Xform.Define(stage, layout.WORLD).GetPrim()
     stage.SetDefaultPrim(world)
     Usd.ModelAPI(world).SetKind("component")
-    for scope in (words.BODIES, words.LIGHTS, words.CAMERAS, words.MATERIALS, words.RENDER):
+    for scope in (layout.BODIES, layout.LIGHTS, layout.CAMERAS, layout.MATERIALS, layout.RENDER):
         UsdGeom.Scope.Define(stage, scope)
-    materials = Materials(stage, words.MATERIALS, files)
+    materials = Materials(stage, layout.MATERIALS, files)
     places = _add_bodies(stage, record, library, materials)
-    dials: list[Dial] = []
+    strengths: list[Strength] = []
     for light in record.rig.lights:
-        target = f"{words.LIGHTS}/{light.name}"
+        target = f"{layout.LIGHTS}/{light.name}"
         if isinstance(light, EmissiveLight):
             add_glow(stage, target, light, places[light.body, light.part])
         else:
-            dials.append(add_light(stage, target, light, files))
+            strengths.append(add_light(stage, target, light, files))
     # Those that a variant speaks of would come first otherwise.
-    stage.GetPrimAtPath(words.LIGHTS).SetChildrenReorder(list(record.rig.names))
+    stage.GetPrimAtPath(layout.LIGHTS).SetChildrenReorder(list(record.rig.names))
     for number, camera in enumerate(record.scene.cameras):
-        add_camera(stage, f"{words.CAMERAS}/view_{number:02d}", camera)
-    add_render_settings(stage, f"{words.CAMERAS}/view_00", record.scene.cameras[0])
-    _add_variants(world, record, [*dials, *materials.dials])
+        add_camera(stage, f"{layout.CAMERAS}/view_{number:02d}", camera)
+    add_render_settings(stage, f"{layout.CAMERAS}/view_00", record.scene.cameras[0])
+    _add_variants(world, record, [*strengths, *materials.strengths])
     _add_metadata(stage, record)
     stage.GetRootLayer().Save()
     return path
@@ -68,7 +68,7 @@ def _add_bodies(
     places: dict[tuple[str, int], str] = {}
     glowing = glowing_parts(record.scene, record.rig)
     for body in record.scene.bodies:
-        path = f"{words.BODIES}/{body.name}"
+        path = f"{layout.BODIES}/{body.name}"
         glows = {part: light for (name, part), light in glowing.items() if name == body.name}
         parts = add_body(stage, path, body, body_parts(body, library), materials=materials, glows=glows)
         places |= {(body.name, part): place for part, place in parts.items()}
@@ -77,20 +77,19 @@ def _add_bodies(
     return places
 
 
-def _add_variants(world: Any, record: SceneRecord, dials: Sequence[Dial]) -> None:
+def _add_variants(world: Any, record: SceneRecord, strengths: Sequence[Strength]) -> None:
     """Author the lights' strengths: as the rig has them, then under each condition, exposure included."""
     variants = world.GetVariantSets().AddVariantSet(VARIANTS)
     lights = record.rig.names
-    plain = LightingCondition(name=RIG, gains=dict.fromkeys(lights, (1.0, 1.0, 1.0)))
+    plain = LightingCondition.unchanged(lights, RIG)
     for condition in (plain, *record.conditions):
         variants.AddVariant(condition.name)
         variants.SetVariantSelection(condition.name)
         gains = dict(zip(lights, gain_matrix(lights, condition).tolist(), strict=True))
         with variants.GetVariantEditContext():
-            for dial in dials:
-                dial.turn(gains[dial.light])
-            exposure = world.CreateAttribute(words.own("exposureEv"), Sdf.ValueTypeNames.Double, custom=True)
-            exposure.Set(condition.exposure_ev)
+            for strength in strengths:
+                strength.set_gain(gains[strength.light])
+            layout.set_own(world, "exposureEv", Sdf.ValueTypeNames.Double, condition.exposure_ev)
     variants.SetVariantSelection(RIG)
 
 
@@ -103,7 +102,7 @@ def _add_metadata(stage: Any, record: SceneRecord) -> None:
     )
     layer.customLayerData = {
         OWN: {
-            "schema": words.SCHEMA,
+            "schema": layout.SCHEMA,
             "kind": record.scene.kind,
             "index": record.scene.index,
             "emissiveColor": NITS,

@@ -1,20 +1,16 @@
 """The export of a dataset's scenes as USD stages: a folder a scene."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 from multilight.datagen.errors import UserError
 from multilight.datagen.production.library import open_library
-from multilight.datagen.storage.copies import files_of, making, whole_folder
+from multilight.datagen.storage.copies import Report, making
 from multilight.datagen.storage.manifest import scene_part
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.source import DatasetSource
 from multilight.datagen.usd.check import stage_faults
 from multilight.datagen.usd.stage import STAGE, write_stage
 from multilight.scenes.assets.library import AssetLibrary
-
-Report = Callable[[float, float], None]
-"""Called with the scenes finished and the scenes planned."""
 
 
 def export_usd(
@@ -36,9 +32,8 @@ def export_usd(
             report(done, total)
             name, part = f"scene_{record.index:06d}", scene_part(source, record.index)
             if not copy.keeps(name, part):
-                with whole_folder(out, name) as folder:
+                with copy.filling_part(name, part) as folder:
                     _write(record, library, folder)
-                copy.add(name, part, files_of(out, name))
             made.append(out / name / STAGE)
         copy.finish()
     report(total, total)

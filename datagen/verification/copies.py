@@ -23,6 +23,7 @@ from multilight.datagen.storage.manifest import (
 )
 from multilight.datagen.storage.packed import read_packed
 from multilight.datagen.storage.source import DatasetSource, open_dataset
+from multilight.datagen.storage.store import scene_folder
 from multilight.datagen.storage.training_source import VISIBLE
 from multilight.datagen.text import plain
 
@@ -36,7 +37,7 @@ def copy_at(address: str) -> Path | None:
     if root.is_dir():
         return root if any((root / name).exists() for name in (MANIFEST, JOURNAL, VISIBLE)) else None
     source = open_dataset(address)
-    if source.filesystem.exists(f"{source.root}/{VISIBLE}"):
+    if source.place.exists(VISIBLE):
         raise UserError(f"{address} is a packed copy; it is verified where it lies as a folder")
     return None
 
@@ -99,7 +100,7 @@ def _stale(manifest: Manifest, source: DatasetSource) -> Iterator[CopyFault]:
         return
     there = {part.scene for part in manifest.parts.values()}
     for index in sorted(set(source.indices) - there) if manifest.kind == "packed" else ():
-        yield CopyFault(f"scenes/{index:06d}", "stale", f"is not packed yet, {source.address} has it")
+        yield CopyFault(scene_folder(index), "stale", f"is not packed yet, {source.address} has it")
     for name, part in sorted(manifest.parts.items()):
         if part.scene not in source.indices:
             yield CopyFault(name, "stale", f"is of scene {part.scene}, which {source.address} has no longer")

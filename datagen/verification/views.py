@@ -4,7 +4,7 @@ That all files are there, whole and unchanged, is checked by `datagen.verificati
 """
 
 from collections.abc import Callable, Collection, Iterator
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +13,8 @@ from scipy.ndimage import binary_erosion
 
 from multilight.datagen.errors import StoreError
 from multilight.datagen.storage.records import SceneRecord
-from multilight.datagen.storage.store import ViewData, as_stored, file_inside, file_sha256, read_scene, read_view
+from multilight.datagen.storage.store import ViewData, as_stored, file_sha256, read_view
+from multilight.datagen.storage.variants import ALL, variants_of
 from multilight.datagen.tuples import compose
 from multilight.datagen.tuples.exposure import BRIGHT, DARK
 from multilight.datagen.verification.residuals import SIDES, residual
@@ -27,7 +28,7 @@ FAR = 0.2
 """Of the local radiance, beyond noise: how far blocks of a denoised layer may be from what was rendered."""
 OVERLAP = 0.005  # rounding of half floats where coverages add up to one
 HALF = 2e-3  # twice the relative spacing of half floats, after sums
-REPROJECTION_SHARE = 0.97  # pixels that must land on or behind the other view's surface
+CONSISTENT = 0.97  # pixels that must land on or behind the other view's surface
 DEPTH_ERROR = 2e-3  # relative, median over smooth surfaces
 FIREFLY = 50.0  # times the brightest neighbour, and brighter than white
 
@@ -54,16 +55,6 @@ CHECKS = (
     "removal",
     "reprojection",
 )
-
-
-def verify_scene(folder: Path) -> list[Fault]:
-    """Check one scene's folder and return its faults (none: the scene is sound)."""
-    try:
-        record = read_scene(folder)
-    except StoreError as error:
-        index = int(folder.name) if folder.name.isdigit() else -1
-        return [Fault(index, None, "files", str(error))]
-    return verify_views(record, lambda name: nullcontext(file_inside(folder, name)))
 
 
 Lend = Callable[[str], AbstractContextManager[Path]]
@@ -116,7 +107,7 @@ def verify_rendered(record: SceneRecord, number: int, view: ViewData, made: View
 
 def _content(record: SceneRecord, number: int, view: ViewData) -> Iterator[str]:
     names = record.scene.insertable
-    wanted = {"all"} | {f"{action}_{name}" for action in ("without", "foreground") for name in names}
+    wanted = set(variants_of(names))
     if set(view.variants) != wanted:
         yield f"variants are {sorted(view.variants)}, expected {sorted(wanted)}"
     if view.raw and set(view.raw) != wanted:
@@ -152,8 +143,8 @@ def _additivity(record: SceneRecord, number: int, view: ViewData) -> Iterator[st
     stated = record.views[number]
     if not stated.additivity <= ADDITIVITY:  # so that NaN is a fault, too
         yield f"raw layers differ from the combined render by {stated.additivity:.2e} (limit {ADDITIVITY:.0e})"
-    total, combined = view.variants["all"].sum(axis=0), view.combined
-    rendered = view.raw["all"].sum(axis=0) if view.raw else None if record.denoised else total
+    total, combined = view.variants[ALL].sum(axis=0), view.combined
+    rendered = view.raw[ALL].sum(axis=0) if view.raw else None if record.denoised else total
     if rendered is not None and (off := _off(rendered, combined, np.ones(total.shape[:2], bool))) > 2 * HALF:
         yield f"stored layers differ from the combined render by {off:.2e} (limit {2 * HALF:.0e})"
     if record.denoised:
@@ -162,7 +153,7 @@ def _additivity(record: SceneRecord, number: int, view: ViewData) -> Iterator[st
 
 def _denoised(view: ViewData) -> Iterator[str]:
     """Hold the denoised layers to what was rendered: their sum to `combined`, each of them where it was kept."""
-    layers = {"the sum of all layers": (view.variants["all"].sum(axis=0), view.combined)}
+    layers = {"the sum of all layers": (view.variants[ALL].sum(axis=0), view.combined)}
     for variant, rendered in view.raw.items():
         for light, pair in zip(view.lights, zip(view.variants[variant], rendered, strict=True), strict=True):
             layers[f"{variant}.{light}"] = pair
@@ -193,7 +184,7 @@ def _off(a: Float32, b: Float32, where: np.ndarray) -> float:
 
 
 STRAY = 0.01
-"""Share of an object's inner pixels whose centre may see something else, through a gap that all samples missed."""
+"""Fraction of an object's inner pixels whose centre may see something else, through a gap that all samples missed."""
 
 
 def _masks(record: SceneRecord, view: ViewData) -> Iterator[str]:
@@ -228,7 +219,7 @@ def brightness(record: SceneRecord, view: ViewData) -> Brightness:
     unexposed = [condition.model_copy(update={"exposure_ev": 0.0}) for condition in record.conditions]
     pictures = [np.percentile(luminance(compose.target(view, condition)), [50, 95]) for condition in unexposed]
     medians, highs = np.transpose(pictures)
-    everything = LightingCondition(name="all", gains=dict.fromkeys(view.lights, (1.0, 1.0, 1.0)))
+    everything = LightingCondition.unchanged(view.lights)
     picture = luminance(compose.target(view, everything))
     padded = np.pad(picture, 1, mode="reflect")
     height, width = picture.shape
@@ -256,7 +247,7 @@ def verify_exposure(record: SceneRecord, number: int, seen: Brightness) -> list[
 
 
 def _removal(record: SceneRecord, view: ViewData) -> Iterator[str]:
-    everything = LightingCondition(name="all", gains=dict.fromkeys(view.lights, (1.0, 1.0, 1.0)))
+    everything = LightingCondition.unchanged(view.lights)
     for name, alpha in view.coverage.items():
         change = np.abs(compose.effect(view, name, everything))
         seen = alpha >= 1
@@ -265,16 +256,16 @@ def _removal(record: SceneRecord, view: ViewData) -> Iterator[str]:
 
 
 def verify_pair(record: SceneRecord, first: tuple[int, ViewData], second: tuple[int, ViewData]) -> list[Fault]:
-    """Carry each view's depth into the other: depth that is too small shows one way, too large the other."""
+    """Carry the depth of each view into the other: too small shows in one direction, too large in the other."""
     faults = []
     for (a, view_a), (b, view_b) in ((first, second), (second, first)):
         cameras = record.scene.cameras
         found = reprojection_error(view_a.geometry.z_depth, cameras[a], view_b.geometry.z_depth, cameras[b])
         if found.compared == 0:
             continue
-        if found.consistent < REPROJECTION_SHARE or found.median_relative_error > DEPTH_ERROR:
+        if found.consistent < CONSISTENT or found.median_relative_error > DEPTH_ERROR:
             message = (
-                f"{found.consistent:.1%} of the depth agrees with view {b} (least {REPROJECTION_SHARE:.0%}), "
+                f"{found.consistent:.1%} of the depth agrees with view {b} (least {CONSISTENT:.0%}), "
                 f"median error {found.median_relative_error:.2e} (most {DEPTH_ERROR:.0e})"
             )
             faults.append(Fault(record.index, a, "reprojection", message))

@@ -32,7 +32,7 @@ class Metering:
 
 @dataclass(frozen=True)
 class ViewMetering:
-    """One view's share of a `Metering`; `key` is None where nothing in the view is lit."""
+    """One view's part in a `Metering`; `key` is None where nothing in the view is lit."""
 
     key: float | None
     white: float

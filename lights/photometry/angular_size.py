@@ -9,7 +9,7 @@ from multilight.lights.spec import AreaLight, Light, PointLight, SpotLight, SunL
 def angular_diameter(light: Light, place: ArrayLike) -> float | None:
     """Return the diameter [rad] of the disc that a lamp or a sun looks like from `place` (3,) [m].
 
-    A panel counts as a disc of the same area, turned to face the place. None for environments and glowing bodies,
+    A panel counts as a disc of the same area, rotated to face the place. None for environments and glowing bodies,
     whose extent stands in their maps and meshes.
     """
     match light:
@@ -20,9 +20,8 @@ def angular_diameter(light: Light, place: ArrayLike) -> float | None:
             return 2.0 * float(np.arctan(light.radius / distance))
         case AreaLight():
             pose = np.array(light.world_from_light)
-            way = pose[:3, 3] - np.asarray(place)
-            distance = float(np.linalg.norm(way))
-            cosine = abs(float(pose[:3, 2] @ way)) / distance
-            area = light.width * light.height * (np.pi / 4 if light.shape == "disk" else 1.0) * cosine
-            return 2.0 * float(np.arctan(np.sqrt(area / np.pi) / distance))
+            offset = pose[:3, 3] - np.asarray(place)
+            distance = float(np.linalg.norm(offset))
+            cosine = abs(float(pose[:3, 2] @ offset)) / distance
+            return 2.0 * float(np.arctan(np.sqrt(light.area * cosine / np.pi) / distance))
     return None

@@ -132,7 +132,7 @@ def profile_flux(profile: tuple[float, ...]) -> float:
 
 
 def _beam(angle: Float64, width: float, spill: float) -> Float64:
-    """A reflector's beam of full width at half maximum `width`, with a share of spill up to a cut-off at 75."""
+    """A reflector's beam of full width at half maximum `width`, with a fraction of spill up to a cut-off at 75."""
     core = np.exp(-math.log(2.0) * (2.0 * angle / width) ** 2)
     return (1.0 - spill) * core + spill * np.cos(np.radians(np.minimum(angle * 1.2, 90.0))) ** 2
 
@@ -142,8 +142,8 @@ def _batwing(angle: Float64) -> Float64:
     return (0.45 + 0.75 * wing) * np.clip((88.0 - angle) / 22.0, 0.0, 1.0)
 
 
-def _washer(angle: Float64, turn: Float64) -> Float64:
-    towards = 0.5 + 0.5 * np.cos(np.radians(turn))
+def _washer(angle: Float64, azimuth: Float64) -> Float64:
+    towards = 0.5 + 0.5 * np.cos(np.radians(azimuth))
     return (0.15 + 0.85 * towards) * np.exp(-(((angle - 30.0 * towards) / 24.0) ** 2)) * (angle < 85.0)
 
 
@@ -173,7 +173,7 @@ def luminaire_ies(name: str) -> str:
     lumens, shape = LUMINAIRES[name]
     vertical = np.arange(0.0, 180.1, 2.5)
     horizontal = np.arange(0.0, 180.1, 15.0) if name == "wall_washer" else np.array([0.0])
-    candela = np.array([shape(vertical, np.full_like(vertical, turn)) for turn in horizontal])
+    candela = np.array([shape(vertical, np.full_like(vertical, azimuth)) for azimuth in horizontal])
     mean = np.interp(np.linspace(0, 180, SAMPLES), vertical, _mean_about_axis(horizontal, candela))
     candela *= lumens / profile_flux(tuple(mean))
     rows = [" ".join(f"{value:.3f}" for value in row) for row in (vertical, horizontal, *candela)]

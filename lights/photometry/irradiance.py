@@ -1,4 +1,4 @@
-"""The still life as lights see it: where it is, what blocks the way, and how much light reaches the table."""
+"""A light meter among a scene's objects: what stands before the lights, and how much light reaches the table."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,17 +21,17 @@ from multilight.scenes.spec import SceneSpec
 SKY_ROWS = 32
 """Environment maps are averaged to this many rows before they are integrated."""
 GLOW_DISTANCE = 0.2
-"""Where the glow of an emissive body is measured: on the table, this far [m] from its middle."""
+"""Where the glow of an emissive body is measured: on the table, this far [m] from its centre."""
 
-Meter = Callable[[Float64], Float64]
+Weight = Callable[[Float64], Float64]
 """Weighs light by the cosine of its direction to the vertical."""
 
 
 @dataclass(frozen=True)
-class StillLife:
-    """The objects of a scene, and rays through all of it; world frame, metres.
+class LightMeter:
+    """A light meter among the objects of a scene, with rays through all of it; world frame, metres.
 
-    `foot` (3,) is the middle of the objects on the surface they stand on, `top` their greatest height [m],
+    `foot` (3,) is the centre of the objects on the surface they stand on, `top` their greatest height [m],
     `radius` [m] that of the group seen from above; `camera` is the mean azimuth [rad] of the cameras.
     """
 
@@ -43,7 +43,7 @@ class StillLife:
     camera: float
 
     @classmethod
-    def of(cls, scene: SceneSpec, library: AssetLibrary) -> "StillLife":
+    def of(cls, scene: SceneSpec, library: AssetLibrary) -> "LightMeter":
         """Measure a scene."""
         objects = [body for body in scene.bodies if body.role == "object"]
         corners = np.concatenate([body_triangles(body, library)[0] for body in objects])
@@ -78,15 +78,15 @@ class StillLife:
         above = self.foot + 0.4 * self.radius * ring + np.array([0.0, 0.0, self.top + 0.02])
         return np.concatenate([around, above])
 
-    def open_share(self, directions: Float64) -> Float64:
-        """Return for directions (N, 3) the share of the probes from which nothing stands in that direction."""
+    def open_fraction(self, directions: Float64) -> Float64:
+        """Return for directions (N, 3) the fraction of the probes from which nothing stands in that direction."""
         probes = self.probes
         origins = np.repeat(probes[None], len(directions), axis=0).reshape(-1, 3)
         hit, _ = self.rays.first_hit(origins, np.repeat(directions, len(probes), axis=0))
         return np.asarray((hit < 0).reshape(len(directions), len(probes)).mean(axis=1))
 
-    def seen_share(self, position: Float64) -> float:
-        """Return the share of the probes that a lamp at `position` (3,) reaches."""
+    def seen_fraction(self, position: Float64) -> float:
+        """Return the fraction of the probes that a lamp at `position` (3,) reaches."""
         return float(self.rays.sees(position, self.probes).mean())
 
     def table_irradiance(self, light: Light) -> float:
@@ -105,27 +105,27 @@ class StillLife:
         """
         return self._metered(light, _dome)
 
-    def _metered(self, light: Light, meter: Meter) -> float:
+    def _metered(self, light: Light, weight_of: Weight) -> float:
         match light:
             case EnvironmentLight():
-                return self._sky_irradiance(light, meter)
+                return self._sky_irradiance(light, weight_of)
             case SunLight():
                 direction = np.array(light.direction)
-                return _grey(light.irradiance) * float(meter(-direction[2] / np.linalg.norm(direction)))
+                return light.grey * float(weight_of(-direction[2] / np.linalg.norm(direction)))
             case PointLight() | SpotLight():
-                way = np.array(light.position) - self.foot
-                distance = float(np.linalg.norm(way))
-                intensity = _grey(light.intensity) * self._share_towards(light, -way / distance)
-                return intensity * float(meter(way[2] / distance)) / distance**2
+                offset = np.array(light.position) - self.foot
+                distance = float(np.linalg.norm(offset))
+                intensity = light.grey * self._relative_intensity(light, -offset / distance)
+                return intensity * float(weight_of(offset[2] / distance)) / distance**2
             case AreaLight():
-                return self._area_irradiance(light, meter)
+                return self._area_irradiance(light, weight_of)
             case EmissiveLight():
                 return self._glow_irradiance(light)
 
-    def _share_towards(self, light: PointLight | SpotLight, leaving: Float64) -> float:
-        """Return the share of its greatest intensity that a lamp has in a direction; a gobo counts with its mean."""
-        way = np.array(light.direction)
-        angle = float(np.arccos(np.clip(leaving @ way / np.linalg.norm(way), -1.0, 1.0)))
+    def _relative_intensity(self, light: PointLight | SpotLight, leaving: Float64) -> float:
+        """Return a lamp's intensity in a direction over its greatest; a gobo counts with its mean."""
+        offset = np.array(light.direction)
+        angle = float(np.arccos(np.clip(leaving @ offset / np.linalg.norm(offset), -1.0, 1.0)))
         if isinstance(light, PointLight):
             return 1.0 if light.profile is None else profile_at(light.profile, angle)
         mean = 1.0 if light.gobo is None else image_mean(self.library, light.gobo)
@@ -133,30 +133,29 @@ class StillLife:
         t = np.clip((np.cos(angle) - edge) / max((1.0 - edge) * light.blend, 1e-9), 0.0, 1.0)
         return mean * float(smoothstep(t))
 
-    def _sky_irradiance(self, light: EnvironmentLight, meter: Meter) -> float:
+    def _sky_irradiance(self, light: EnvironmentLight, weight_of: Weight) -> float:
         """Sum radiance times cosine over the directions in which nothing but objects stands."""
         sky = np.ones((SKY_ROWS, 2 * SKY_ROWS, 3)) if light.map is None else small_map(self.library, light.map)
         directions, solid_angle = map_directions(light.rotation)
-        weight = meter(directions[..., 2]) * solid_angle[:, None]
+        weight = weight_of(directions[..., 2]) * solid_angle[:, None]
         flat = directions.reshape(-1, 3)
         origin = np.broadcast_to(self.foot + np.array([0.0, 0.0, 0.01]), flat.shape)
         hit, _ = self.fixed_rays.first_hit(origin, flat)
         open_sky = (hit < 0).reshape(weight.shape)
         return float((luminance(sky * np.array(light.radiance)) * weight * open_sky).sum())
 
-    def _area_irradiance(self, light: AreaLight, meter: Meter) -> float:
+    def _area_irradiance(self, light: AreaLight, weight_of: Weight) -> float:
         """Treat the lamp as 8 x 8 small ones (ellipses: those inside)."""
         pose = np.array(light.world_from_light)
         grid = (np.arange(8) + 0.5) / 8 - 0.5
         x, y = (axis.ravel() for axis in np.meshgrid(grid, grid))
         keep = np.hypot(x, y) <= 0.5 if light.shape == "disk" else np.full(x.shape, True)
         flat = np.column_stack([x * light.width, y * light.height, np.zeros(64)])[keep]
-        way = self.foot - apply_pose(pose, flat)
-        distance = np.linalg.norm(way, axis=1)
-        emitted = np.maximum(way @ -pose[:3, 2] / distance, 0.0)
-        received = meter(-way[:, 2] / distance)
-        area = light.width * light.height * (np.pi / 4 if light.shape == "disk" else 1.0)
-        return float(_grey(light.radiance) * area * (emitted * received / distance**2).mean())
+        offset = self.foot - apply_pose(pose, flat)
+        distance = np.linalg.norm(offset, axis=1)
+        emitted = np.maximum(offset @ -pose[:3, 2] / distance, 0.0)
+        received = weight_of(-offset[:, 2] / distance)
+        return float(light.grey * light.area * (emitted * received / distance**2).mean())
 
     def _glow_irradiance(self, light: EmissiveLight) -> float:
         """Sum over the triangles of the glowing part, as if nothing stood in between."""
@@ -166,12 +165,12 @@ class StillLife:
         normal = triangle_crosses(triangles) / 2
         angle = np.linspace(0.0, 2 * np.pi, 8, endpoint=False)
         ring = np.stack([np.cos(angle), np.sin(angle), np.zeros(8)], axis=-1)
-        middle = np.array([*centre.mean(axis=0)[:2], self.foot[2]])
-        way = (middle + GLOW_DISTANCE * ring)[:, None] - centre
-        distance = np.linalg.norm(way, axis=-1)
-        emitted = np.maximum((way * normal).sum(axis=-1), 0.0) / distance
-        received = np.maximum(-way[..., 2], 0.0) / distance
-        return float(_grey(light.radiance) * (emitted * received / distance**2).sum(axis=1).mean())
+        below = np.array([*centre.mean(axis=0)[:2], self.foot[2]])
+        offset = (below + GLOW_DISTANCE * ring)[:, None] - centre
+        distance = np.linalg.norm(offset, axis=-1)
+        emitted = np.maximum((offset * normal).sum(axis=-1), 0.0) / distance
+        received = np.maximum(-offset[..., 2], 0.0) / distance
+        return float(light.grey * (emitted * received / distance**2).sum(axis=1).mean())
 
     def glowing_triangles(self, light: EmissiveLight) -> Float64:
         """Return the triangles (F, 3, 3) of the part that glows, in the world."""
@@ -218,8 +217,3 @@ def _plate(cosine: Float64) -> Float64:
 
 def _dome(cosine: Float64) -> Float64:
     return (1.0 + cosine) / 2.0
-
-
-def _grey(colour: tuple[float, float, float]) -> float:
-    """Return the luminance of one RGB value."""
-    return float(luminance(np.array(colour)))

@@ -25,21 +25,10 @@ def photometric_from_watts(value: float) -> float:
     return _not_negative("radiometric value", value) * LUMINOUS_EFFICACY
 
 
-def point_intensity_from_flux(flux: float) -> float:
-    """Return the intensity [W/sr] of an isotropic point of radiant flux [W]: I = flux / (4 pi)."""
-    return _not_negative("flux", flux) / (4.0 * math.pi)
-
-
-def point_flux_from_intensity(intensity: float) -> float:
-    """Return the flux [W] of an isotropic point of intensity [W/sr]."""
-    return _not_negative("intensity", intensity) * 4.0 * math.pi
-
-
 def spot_intensity_from_flux(flux: float, half_angle: float) -> float:
     """Return the intensity [W/sr] of a flux [W] spread evenly over a cone: I = flux / (2 pi (1 - cos(half_angle))).
 
-    `half_angle` [rad] in (0, pi]. For a soft edge divide by
-    `spot_solid_angle` instead.
+    `half_angle` [rad] in (0, pi]. For a soft edge divide by `spot_solid_angle` instead.
     """
     if not 0.0 < half_angle <= math.pi:
         raise ValueError(f"half angle {half_angle} rad is outside (0, pi]")
@@ -50,7 +39,7 @@ def spot_intensity_from_flux(flux: float, half_angle: float) -> float:
 def spot_solid_angle(half_angle: float, blend: float = 0.0) -> float:
     """Return the solid angle [sr] that times the axial intensity gives the flux of a `lights.spec.SpotLight`.
 
-    2 pi (1 - cos(half_angle)) (1 - blend / 2): the smoothstep over the soft share of the cosines averages one half.
+    2 pi (1 - cos(half_angle)) (1 - blend / 2): the smoothstep over the soft part of the cosines averages one half.
     """
     if not 0.0 < half_angle <= math.pi or not 0.0 <= blend <= 1.0:
         raise ValueError(f"half angle {half_angle} rad must be in (0, pi] and blend {blend} in [0, 1]")
@@ -62,27 +51,6 @@ def area_radiance_from_flux(flux: float, area: float) -> float:
     if area <= 0.0:
         raise ValueError(f"area {area} m² must be above 0")
     return _not_negative("flux", flux) / (math.pi * area)
-
-
-def area_flux_from_radiance(radiance: float, area: float) -> float:
-    """Return the flux [W] of a one-sided Lambertian emitter of radiance [W/(m² sr)] and area [m²]."""
-    if area <= 0.0:
-        raise ValueError(f"area {area} m² must be above 0")
-    return _not_negative("radiance", radiance) * math.pi * area
-
-
-def irradiance_from_intensity(intensity: float, distance: float, cosine: float = 1.0) -> float:
-    """Return the irradiance [W/m²] at a distance [m] from a point: E = I cos(theta) / d², 0 from behind."""
-    if distance <= 0.0:
-        raise ValueError(f"distance {distance} m must be above 0")
-    return _not_negative("intensity", intensity) * max(cosine, 0.0) / distance**2
-
-
-def intensity_for_irradiance(irradiance: float, distance: float) -> float:
-    """Return the intensity [W/sr] that gives an irradiance [W/m²] on a surface facing a point at a distance [m]."""
-    if distance <= 0.0:
-        raise ValueError(f"distance {distance} m must be above 0")
-    return _not_negative("irradiance", irradiance) * distance**2
 
 
 def rgb_from_scalar(value: float, colour: Rgb) -> Rgb:
@@ -97,11 +65,6 @@ def rgb_from_scalar(value: float, colour: Rgb) -> Rgb:
 # --- what lamps are sold by, as the coloured quantities that `lights.spec` holds ---
 
 
-def intensity_from_candela(candela: float, colour: Rgb) -> Rgb:
-    """Return the `intensity` [W/sr] of a point or spot of so many candela on its axis, in a colour."""
-    return rgb_from_scalar(watts_from_photometric(candela), colour)
-
-
 def intensity_from_lumens(lumens: float, colour: Rgb, solid_angle: float = 4.0 * math.pi) -> Rgb:
     """Return the `intensity` [W/sr] of a point or spot of so many lumens, in a colour.
 
@@ -111,16 +74,6 @@ def intensity_from_lumens(lumens: float, colour: Rgb, solid_angle: float = 4.0 *
     if solid_angle <= 0.0:
         raise ValueError(f"solid angle {solid_angle} sr must be above 0")
     return rgb_from_scalar(watts_from_photometric(lumens) / solid_angle, colour)
-
-
-def irradiance_from_lux(lux: float, colour: Rgb) -> Rgb:
-    """Return the `irradiance` [W/m²] of a sun that gives so many lux on a surface that faces it, in a colour."""
-    return rgb_from_scalar(watts_from_photometric(lux), colour)
-
-
-def radiance_from_nits(nits: float, colour: Rgb) -> Rgb:
-    """Return the `radiance` [W/(m² sr)] of a luminous surface or a uniform sky of so many nits (cd/m²), in a colour."""
-    return rgb_from_scalar(watts_from_photometric(nits), colour)
 
 
 def area_radiance_from_lumens(lumens: float, area: float, colour: Rgb) -> Rgb:

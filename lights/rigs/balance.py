@@ -5,15 +5,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from multilight.lights.photometry.irradiance import StillLife
+from multilight.lights.photometry.irradiance import LightMeter
 from multilight.lights.photometry.radiometry import photometric_from_watts, watts_from_photometric
-from multilight.lights.spec import AreaLight, EmissiveLight, EnvironmentLight, Light, PointLight, SpotLight, SunLight
-from multilight.scenes.frozen import Rgb
+from multilight.lights.spec import AreaLight, Light, PointLight, SpotLight
 
 LUMENS = (15.0, 40_000.0)
 """Luminous flux of a key lamp [lm]: from a candle to a large studio head."""
 FAINTEST = 1 / 60
 """No light gives less of the key's illuminance than this: its layer would be dead."""
+NOTHING = 1e-9
+"""Irradiance [W/m²] of a light of any strength that does not reach the scene."""
 
 SHOWN, DIMMEST = 0.1, 15.0
 """A thing that glows gives at least this part of the key's illuminance about itself: who lights a candle dims the
@@ -21,7 +22,7 @@ room. But the key aims at no less than `DIMMEST` [lx]."""
 
 
 @dataclass(frozen=True)
-class Share:
+class LightRole:
     """A light of any strength and the part it should play.
 
     `strength` is its weight among the fill lights, or, where `unit` is given, its level against the key's. `unit` is
@@ -35,47 +36,30 @@ class Share:
     fixed: bool = False
 
 
-def balance(key: Light, others: Sequence[Share], place: StillLife, *, key_to_fill: float, lux: float) -> list[Light]:
+def balance(
+    key: Light, others: Sequence[LightRole], meter: LightMeter, *, key_to_fill: float, lux: float
+) -> list[Light]:
     """Give all lights of a rig their strengths; a lamp comes in with 1 lm.
 
     At the scene's centre, as a dome meter reads it, the key gives `lux` (a lamp only what `LUMENS` allow) and the
     fill lights together `1 / key_to_fill` of that. What does not reach the centre is left out.
     """
-    unit = place.dome_irradiance(key)
-    about = [photometric_from_watts(share.unit) for share in others if share.fixed and share.unit is not None]
+    unit = meter.dome_irradiance(key)
+    about = [photometric_from_watts(role.unit) for role in others if role.fixed and role.unit is not None]
     lux = min([lux, *(max(glow / SHOWN, DIMMEST) for glow in about)])
-    factor = watts_from_photometric(lux) / max(unit, 1e-9)
+    factor = watts_from_photometric(lux) / max(unit, NOTHING)
     if isinstance(key, PointLight | SpotLight | AreaLight):
         factor = float(np.clip(factor, *LUMENS))
     level = factor * unit
-    fills = [(share, place.dome_irradiance(share.light)) for share in others if share.unit is None]
-    fills = [(share, unit) for share, unit in fills if unit > 1e-9]
-    total = sum(share.strength for share, _ in fills)
-    result = [scaled(key, factor)]
-    for share in others:
-        if share.fixed:
-            result.append(share.light)
-            continue
-        if share.unit is not None:
-            result.append(scaled(share.light, level * share.strength / max(share.unit, 1e-9)))
-            continue
-        for fill, unit in fills:
-            if fill is share:
-                wanted = max(share.strength / total / key_to_fill, FAINTEST)
-                result.append(scaled(share.light, level * wanted / unit))
+    fills = {i: meter.dome_irradiance(role.light) for i, role in enumerate(others) if role.unit is None}
+    total = sum(others[i].strength for i, given in fills.items() if given > NOTHING)
+    result = [key.scaled(factor)]
+    for i, role in enumerate(others):
+        if role.fixed:
+            result.append(role.light)
+        elif role.unit is not None:
+            result.append(role.light.scaled(level * role.strength / max(role.unit, NOTHING)))
+        elif fills[i] > NOTHING:
+            wanted = max(role.strength / total / key_to_fill, FAINTEST)
+            result.append(role.light.scaled(level * wanted / fills[i]))
     return result
-
-
-def scaled(light: Light, factor: float) -> Light:
-    """Return the same light `factor` times as strong."""
-    match light:
-        case EnvironmentLight() | AreaLight() | EmissiveLight():
-            return light.model_copy(update={"radiance": _times(light.radiance, factor)})
-        case SunLight():
-            return light.model_copy(update={"irradiance": _times(light.irradiance, factor)})
-        case PointLight() | SpotLight():
-            return light.model_copy(update={"intensity": _times(light.intensity, factor)})
-
-
-def _times(colour: Rgb, factor: float) -> Rgb:
-    return colour[0] * factor, colour[1] * factor, colour[2] * factor

@@ -5,13 +5,14 @@ from typing import Any, get_args
 
 import numpy as np
 
-from multilight.lights.photometry.irradiance import StillLife
+from multilight.lights.photometry.irradiance import LightMeter
 from multilight.lights.photometry.radiometry import watts_from_photometric
-from multilight.lights.rigs.balance import scaled
 from multilight.lights.rigs.design import RigDesign
-from multilight.lights.rigs.tabletop import LightKind, glow_share, tabletop_rig
+from multilight.lights.rigs.lamps import vector
+from multilight.lights.rigs.tabletop import LightKind, glow_of, tabletop_rig
 from multilight.lights.spec import (
     SUN_ANGLE,
+    WIDEST_SUN,
     AreaLight,
     EmissiveLight,
     EnvironmentLight,
@@ -24,36 +25,36 @@ from multilight.lights.spec import (
 from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.formats.scene_file import FoundLight
 from multilight.scenes.assets.library import AssetLibrary
-from multilight.scenes.frozen import Rgb, Vector3
+from multilight.scenes.frozen import Rgb
 from multilight.scenes.names import free_name
 from multilight.scenes.poses import matrix4
 from multilight.scenes.spec import SceneSpec
 
 PHOTOMETRIC = ("cd", "lx", "nit")
-MOST_ANGLE = 0.5
-
+WIDEST_CONE = 1.49
+"""Half angle [rad] that wider cones of a file are cut to: just within what a spot may have."""
 MOST = 16
 """Layers that a background's lights may take: of more, those that give most at the still life."""
 DARK = 5.0
 """Illuminance [lx] at the still life below which a background counts as unlit there."""
 
 
-def custom_rig(rng: np.random.Generator, place: StillLife, design: RigDesign, *, lights: tuple[int, int]) -> LightRig:
+def custom_rig(rng: np.random.Generator, meter: LightMeter, design: RigDesign, *, lights: tuple[int, int]) -> LightRig:
     """Make a rig of the background's own lights, and of the object that is meant to glow.
 
     Where the file has no light, or none that reaches the objects, lamps are hung as about a table.
     """
-    own = list(custom_lights(place.scene, place.library))
-    level = np.array([place.dome_irradiance(light) for light in own])
+    own = list(custom_lights(meter.scene, meter.library))
+    level = np.array([meter.dome_irradiance(light) for light in own])
     if not len(own) or level.sum() < watts_from_photometric(DARK):
-        return tabletop_rig(rng, place, design, kinds=get_args(LightKind), lights=lights)
+        return tabletop_rig(rng, meter, design, kinds=get_args(LightKind), lights=lights)
     kept = sorted(np.argsort(-level, kind="stable")[:MOST])
     rig = [own[int(i)] for i in kept]
-    glow = glow_share(rng, place)
+    glow = glow_of(rng, meter)
     if glow is not None and glow.unit:
         strength = float(level.max()) * glow.strength / glow.unit
         name = free_name("glow", {light.name for light in rig}, otherwise="light")
-        rig.append(scaled(glow.light, strength).model_copy(update={"name": name}))
+        rig.append(glow.light.scaled(strength).model_copy(update={"name": name}))
     return LightRig(lights=tuple(rig))
 
 
@@ -64,18 +65,18 @@ def custom_lights(scene: SceneSpec, library: AssetLibrary) -> tuple[Light, ...]:
     """
     if library.background is None:
         return ()
-    turn = _world_from_file(scene, library)
+    world_from_file = _world_from_file(scene, library)
     names: set[str] = set()
     lights = []
     for found in library.background.lights:
         if max(found.amount) > 0:
-            lights.append(light_from_found(found, turn, free_name(found.name, names, otherwise="light")))
+            lights.append(light_from_found(found, world_from_file, free_name(found.name, names, otherwise="light")))
             names.add(lights[-1].name)
     return tuple(lights)
 
 
 def _world_from_file(scene: SceneSpec, library: AssetLibrary) -> Float64:
-    """Return where the scene was turned to, (4, 4): all of the background is moved as one."""
+    """Return the pose (4, 4) that takes the file to the scene: all of the background is moved as one."""
     assert library.background is not None
     piece = library.background.pieces[0]
     placed = np.array(scene.body(piece.name).world_from_body)
@@ -89,10 +90,10 @@ def _radiometric(found: FoundLight) -> Rgb:
     return red, green, blue
 
 
-def light_from_found(found: FoundLight, turn: Float64, name: str) -> Light:
-    """Translate one light into the scene's world."""
-    pose = turn @ np.array(found.pose)
-    position, direction = _vector(pose[:3, 3]), _vector(-pose[:3, 2])
+def light_from_found(found: FoundLight, world_from_file: Float64, name: str) -> Light:
+    """Translate one light into the scene's world; `world_from_file` (4, 4) is rigid."""
+    pose = world_from_file @ np.array(found.pose)
+    position, direction = vector(pose[:3, 3]), vector(-pose[:3, 2])
     amount = _radiometric(found)
     about: dict[str, Any] = {"name": name}
     match found.kind:
@@ -104,12 +105,12 @@ def light_from_found(found: FoundLight, turn: Float64, name: str) -> Light:
                 position=position,
                 direction=direction,
                 intensity=amount,
-                half_angle=min(found.half_angle, 1.49),
+                half_angle=min(found.half_angle, WIDEST_CONE),
                 blend=found.blend,
                 radius=found.radius,
             )
         case "sun":
-            angle = min(found.angle, MOST_ANGLE) if found.angle > 0 else SUN_ANGLE
+            angle = min(found.angle, WIDEST_SUN) if found.angle > 0 else SUN_ANGLE
             return SunLight(**about, direction=direction, irradiance=amount, angle=angle)
         case "area":
             return AreaLight(
@@ -121,13 +122,9 @@ def light_from_found(found: FoundLight, turn: Float64, name: str) -> Light:
                 radiance=amount,
             )
         case "environment":
-            rotation = found.rotation + math.atan2(turn[1, 0], turn[0, 0])
+            rotation = found.rotation + math.atan2(world_from_file[1, 0], world_from_file[0, 0])
             asset = None if found.map is None else f"background/{found.map}"
             return EnvironmentLight(**about, map=asset, radiance=amount, rotation=rotation % (2 * math.pi))
         case "emissive":
             assert found.node is not None
             return EmissiveLight(**about, body=found.node, part=found.part, radiance=amount, texture=found.texture)
-
-
-def _vector(values: Float64) -> Vector3:
-    return float(values[0]), float(values[1]), float(values[2])

@@ -1,9 +1,9 @@
-"""Light from far away: environment maps turned to where it is open, the sun, and the sky that goes with it."""
+"""Light from far away: environment maps rotated to where it is open, the sun, and the sky that goes with it."""
 
 import numpy as np
 
 from multilight.lights.photometry.colour import temperature_to_rgb
-from multilight.lights.photometry.irradiance import StillLife, map_directions, small_map
+from multilight.lights.photometry.irradiance import LightMeter, map_directions, small_map
 from multilight.lights.photometry.radiometry import watts_from_photometric
 from multilight.lights.rigs.lamps import SEEN, Tint, vector
 from multilight.lights.spec import EnvironmentLight, SunLight
@@ -13,8 +13,10 @@ from multilight.scenes.colour import luminance
 from multilight.scenes.poses import direction_from
 from multilight.scenes.streams import log_uniform
 
-SUN_DIAMETER = 0.0093
-"""Diameter of the sun's disc [rad], its mean over the year; `lights.spec.SUN_ANGLE` is its smallest."""
+SUN_SIZES = (0.0093, 0.06)
+"""Angular diameters [rad] of the suns that are drawn: from the sun's own to a veiled one."""
+MOON_LUX, MOON_KELVIN = 0.27, 4150.0
+"""The full moon high in a clear sky, on a surface that faces it [lx], and its colour temperature [K]."""
 _SKY_UNIT = watts_from_photometric(1000.0)
 """Radiance [W/(m² sr)] of a map's 1 kcd/m²."""
 
@@ -31,7 +33,7 @@ def sun_and_sky(azimuth: float, elevation: float, turbidity: float) -> tuple[Sun
         name="sun",
         direction=vector(-direction_from(azimuth, height)),
         irradiance=(beam[0], beam[1], beam[2]),
-        angle=SUN_DIAMETER,
+        angle=SUN_SIZES[0],
     )
     return sun, _sky(name, azimuth)
 
@@ -42,42 +44,42 @@ def overcast(azimuth: float) -> EnvironmentLight:
 
 
 def moon(azimuth: float, elevation: float) -> SunLight:
-    """Return the full moon high in a clear sky: 0.27 lx on a surface that faces it, 4150 K, half a degree wide."""
-    red, green, blue = (watts_from_photometric(0.27) * c for c in temperature_to_rgb(4150.0))
+    """Return the full moon in a clear sky, half a degree wide."""
+    red, green, blue = (watts_from_photometric(MOON_LUX) * c for c in temperature_to_rgb(MOON_KELVIN))
     direction = vector(-direction_from(azimuth, elevation))
-    return SunLight(name="moon", colour_temperature=4150.0, direction=direction, irradiance=(red, green, blue))
+    return SunLight(name="moon", colour_temperature=MOON_KELVIN, direction=direction, irradiance=(red, green, blue))
 
 
 def environment(
-    rng: np.random.Generator, place: StillLife, tint: Tint, *, name: str, categories: frozenset[str]
+    rng: np.random.Generator, meter: LightMeter, tint: Tint, *, name: str, categories: frozenset[str]
 ) -> EnvironmentLight:
     """Draw a map of the categories, of unit radiance; its bright side comes over a random open side.
 
     A uniform environment of the tint where no map is installed, or none is asked for.
     """
-    maps = [info for info in place.library.list("environment") if info.category in categories]
+    maps = [info for info in meter.library.list("environment") if info.category in categories]
     if not maps:
         return EnvironmentLight(name=name, colour_temperature=tint.temperature, gel=tint.gel, radiance=tint.rgb)
     info = _draw_place(rng, maps)
     wanted = rng.uniform(0.0, 2 * np.pi, 12)
-    open_share = place.open_share(np.array([direction_from(azimuth, 0.5) for azimuth in wanted]))
-    chosen = float(wanted[int(np.argmax(open_share >= min(SEEN, float(open_share.max()))))])
-    return turned(EnvironmentLight(name=name, map=info.id), place, chosen)
+    open_fraction = meter.open_fraction(np.array([direction_from(azimuth, 0.5) for azimuth in wanted]))
+    chosen = float(wanted[int(np.argmax(open_fraction >= min(SEEN, float(open_fraction.max()))))])
+    return rotated_to(EnvironmentLight(name=name, map=info.id), meter, chosen)
 
 
-def turned(light: EnvironmentLight, place: StillLife, azimuth: float) -> EnvironmentLight:
-    """Turn a map so that its brightest part lies at an azimuth [rad]; a uniform environment stays as it is."""
+def rotated_to(light: EnvironmentLight, meter: LightMeter, azimuth: float) -> EnvironmentLight:
+    """Rotate a map so that its brightest part lies at an azimuth [rad]; a uniform environment stays as it is."""
     if light.map is None:
         return light
     directions, solid_angle = map_directions(0.0)
-    bright = luminance(small_map(place.library, light.map)) * solid_angle[:, None] * (directions[..., 2] > 0)
+    bright = luminance(small_map(meter.library, light.map)) * solid_angle[:, None] * (directions[..., 2] > 0)
     # A power above one makes the brightest windows decide, not the dim rest.
     mean = (bright[..., None] ** 1.5 * directions).sum(axis=(0, 1))
     return light.model_copy(update={"rotation": (azimuth - float(np.arctan2(mean[1], mean[0]))) % (2 * np.pi)})
 
 
 def open_direction(
-    rng: np.random.Generator, place: StillLife, azimuth: float, elevation: float
+    rng: np.random.Generator, meter: LightMeter, azimuth: float, elevation: float
 ) -> tuple[float, float] | None:
     """Return the azimuth and elevation [rad] nearest to those wanted from which the still life is free; None if none.
 
@@ -87,13 +89,13 @@ def open_direction(
     around = azimuth + np.pi * spread * rng.choice([-1.0, 1.0], 48)
     above = np.clip(elevation + spread * rng.uniform(-0.4, 0.6, 48), 0.12, 1.4)
     towards = np.array([direction_from(a, e) for a, e in zip(around, above, strict=True)])
-    free = np.flatnonzero(place.open_share(towards) >= SEEN)
+    free = np.flatnonzero(meter.open_fraction(towards) >= SEEN)
     return (float(around[free[0]]), float(above[free[0]])) if len(free) else None
 
 
-def plain_sun(rng: np.random.Generator, place: StillLife, azimuth: float, elevation: float) -> SunLight | None:
+def plain_sun(rng: np.random.Generator, meter: LightMeter, azimuth: float, elevation: float) -> SunLight | None:
     """Return a sun of unit irradiance near a direction [rad] where that is open; None where it cannot come in."""
-    found = open_direction(rng, place, azimuth, elevation)
+    found = open_direction(rng, meter, azimuth, elevation)
     if found is None:
         return None
     # Low suns are warm, high ones white (CIE daylight).
@@ -101,13 +103,13 @@ def plain_sun(rng: np.random.Generator, place: StillLife, azimuth: float, elevat
     temperature = round(float(np.clip(warm * np.exp(rng.normal(0.0, 0.12)), 2200.0, 9000.0)))
     direction = vector(-direction_from(*found))
     rgb = temperature_to_rgb(temperature)
-    angle = SUN_DIAMETER if rng.random() < 0.5 else log_uniform(rng, SUN_DIAMETER, 0.06)
+    angle = SUN_SIZES[0] if rng.random() < 0.5 else log_uniform(rng, *SUN_SIZES)
     return SunLight(name="sun", colour_temperature=temperature, direction=direction, irradiance=rgb, angle=angle)
 
 
 def _sky(name: str, azimuth: float) -> EnvironmentLight:
-    turn = azimuth % (2 * np.pi)
-    return EnvironmentLight(name="sky", map=f"builtin/{name}", radiance=(_SKY_UNIT,) * 3, rotation=turn)
+    rotation = azimuth % (2 * np.pi)
+    return EnvironmentLight(name="sky", map=f"builtin/{name}", radiance=(_SKY_UNIT,) * 3, rotation=rotation)
 
 
 def _draw_place(rng: np.random.Generator, maps: list[AssetInfo]) -> AssetInfo:

@@ -1,6 +1,6 @@
 """What a rig should be like, drawn so that a whole dataset covers every kind, direction and ratio evenly."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 import numpy as np
 from pydantic import Field
@@ -11,9 +11,10 @@ from multilight.scenes.streams import Streams, pick_at
 
 KeyKind = Literal["area", "point", "spot", "sun", "environment"]
 Shaping = Literal["plain", "gobo", "profile"]
+T = TypeVar("T")
 
-COUNTS = {1: 0.06, 2: 0.13, 3: 0.2, 4: 0.2, 5: 0.16, 6: 0.12, 7: 0.08, 8: 0.05}
-"""Shares of rigs with 1 to 8 lights."""
+COUNTS = dict(enumerate((0.06, 0.13, 0.2, 0.2, 0.16, 0.12, 0.08, 0.05), 1))
+"""Probabilities of rigs with 1 to 8 lights."""
 SIZES = (0.001, 1.0)
 """Angular diameters of the key [rad], hard to soft; the sun's is 0.0093."""
 RATIOS = (0.7, 12.0)
@@ -21,9 +22,18 @@ RATIOS = (0.7, 12.0)
 MIRED = (115.0, 430.0)
 """Colour temperatures in reciprocal megakelvin: 8700 K to 2300 K, even steps of which look even."""
 FRONTAL = 0.12
-"""Share of keys within 50 degrees of the cameras' side: flat light, which hides shadows, is kept rare."""
-GEL_SHARE = 0.16
-"""Share of keys behind a gel, a pale one mostly: what floods a whole scene in one colour teaches little."""
+"""Fraction of keys within `SIDE` of the cameras' azimuth: flat light, which hides shadows, is kept rare."""
+SIDE = 50.0
+"""Azimuth [degrees] from the cameras beyond which light comes from the side."""
+GELLED = 0.16
+"""Fraction of keys behind a gel, a pale one mostly: what floods a whole scene in one colour teaches little."""
+ELEVATIONS = (12.0, 78.0)
+"""Elevations of the key [degrees]: from a low sun or table lamp to a ceiling's, all but overhead."""
+SHAPINGS: dict[Shaping, float] = {"gobo": 0.3, "profile": 0.3, "plain": 0.4}
+ENVIRONMENTS = 0.75
+"""Fraction of rigs with an environment beside lamps."""
+SMALLEST_PANEL, LARGEST_BULB, LARGEST_SUN = 0.04, 0.25, 0.06
+"""Angular diameters [rad] that kinds of keys come in: softboxes are large, bulbs and spots small, suns smaller."""
 _AXES = 11
 
 
@@ -63,13 +73,13 @@ def rig_design(streams: Streams) -> RigDesign:
         lights=pick_at(float(u[0]), COUNTS),
         key=_key(float(u[1]), size),
         azimuth=_azimuth(float(u[2])),
-        elevation=float(np.radians(12.0 + 66.0 * u[3])),
+        elevation=float(np.radians(ELEVATIONS[0] + (ELEVATIONS[1] - ELEVATIONS[0]) * u[3])),
         key_to_fill=float(RATIOS[0] * (RATIOS[1] / RATIOS[0]) ** u[4]),
         angular_size=size,
         colour_temperature=round(warmth),
-        gel_saturation=0.0 if u[7] >= GEL_SHARE else float(0.2 + 0.8 * (u[7] / GEL_SHARE) ** 2.5),
-        shaping="gobo" if u[8] < 0.3 else "profile" if u[8] < 0.6 else "plain",
-        environment=bool(u[9] < 0.75),
+        gel_saturation=0.0 if u[7] >= GELLED else float(0.2 + 0.8 * (u[7] / GELLED) ** 2.5),
+        shaping=pick_at(float(u[8]), SHAPINGS),
+        environment=bool(u[9] < ENVIRONMENTS),
         mood=float(u[10]),
     )
 
@@ -88,12 +98,12 @@ def _point(streams: Streams) -> Float64:
 
 
 def _key(u: float, size: float) -> KeyKind:
-    """Choose the key's kind among those that come in the size: bulbs and spots are small, softboxes large."""
+    """Choose the key's kind among those that come in the size."""
     weights: dict[KeyKind, float] = {
-        "area": 3.0 if size >= 0.04 else 0.0,
-        "point": 1.0 if size <= 0.25 else 0.0,
-        "spot": 1.6 if size <= 0.25 else 0.0,
-        "sun": 1.0 if size <= 0.06 else 0.0,
+        "area": 3.0 if size >= SMALLEST_PANEL else 0.0,
+        "point": 1.0 if size <= LARGEST_BULB else 0.0,
+        "spot": 1.6 if size <= LARGEST_BULB else 0.0,
+        "sun": 1.0 if size <= LARGEST_SUN else 0.0,
         "environment": 0.6,
     }
     return pick_at(u, weights)
@@ -102,6 +112,5 @@ def _key(u: float, size: float) -> KeyKind:
 def _azimuth(u: float) -> float:
     """Spread azimuths over both sides, few of them frontal."""
     side, t = (1.0, 2 * u) if u < 0.5 else (-1.0, 2 * u - 1)
-    edge = 50.0
-    degrees = t / FRONTAL * edge if t < FRONTAL else edge + (t - FRONTAL) / (1 - FRONTAL) * (180.0 - edge)
+    degrees = t / FRONTAL * SIDE if t < FRONTAL else SIDE + (t - FRONTAL) / (1 - FRONTAL) * (180.0 - SIDE)
     return float(side * np.radians(degrees))

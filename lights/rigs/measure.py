@@ -6,30 +6,27 @@ import numpy as np
 
 from multilight.lights.photometry.angular_size import angular_diameter
 from multilight.lights.photometry.colour import temperature_of
-from multilight.lights.photometry.irradiance import StillLife, map_directions, small_map
+from multilight.lights.photometry.irradiance import LightMeter, map_directions, small_map
 from multilight.lights.photometry.radiometry import photometric_from_watts
 from multilight.lights.spec import (
     AreaLight,
     EmissiveLight,
     EnvironmentLight,
     Light,
-    LightRig,
     PointLight,
     SpotLight,
     SunLight,
 )
 from multilight.scenes.arrays import Float64
-from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.colour import luminance
 from multilight.scenes.frozen import Rgb
-from multilight.scenes.spec import SceneSpec
 
 
 @dataclass(frozen=True)
 class LightMeasure:
-    """One light as the middle of the scene's objects sees it.
+    """One light as seen from the centre of the scene's objects.
 
-    `azimuth` [rad] from the cameras' mean, in (-pi, pi], and `elevation` [rad] of its middle (of an environment: of
+    `azimuth` [rad] from the cameras' mean, in (-pi, pi], and `elevation` [rad] of its centre (of an environment: of
     its mean light from above); `angular_size` [rad] the diameter of a disc of the same solid angle or spread: the
     smaller, the harder its shadows. `illuminance` [lx] on level ground there, `dome` [lx] as a dome meter reads it.
     `temperature` [K] correlated, and `saturation`, the distance from white light of that temperature in CIE 1976 u'v'
@@ -48,80 +45,44 @@ class LightMeasure:
     shaped: bool
 
 
-@dataclass(frozen=True)
-class RigMeasure:
-    """All lights of a rig, and the ratio of its strongest to all others together as a dome meter reads them.
-
-    Glowing bodies light what is next to them and count in neither; `key_to_fill` is infinite for a single light, and
-    `key` None where all lights glow.
-    """
-
-    lights: tuple[LightMeasure, ...]
-    key: str | None
-    key_to_fill: float
-
-
-def measure_rig(scene: SceneSpec, rig: LightRig, library: AssetLibrary) -> RigMeasure:
-    """Measure a rig in its scene; reads the environment maps and the meshes that the scene uses."""
-    place = StillLife.of(scene, library)
-    lights = tuple(measure_light(light, place) for light in rig.lights)
-    counted = [light for light in lights if light.kind != "emissive"]
-    if not counted:
-        return RigMeasure(lights, None, 0.0)
-    key = max(counted, key=lambda light: light.dome)
-    rest = sum(light.dome for light in counted) - key.dome
-    return RigMeasure(lights, key.name, key.dome / rest if rest > 0 else float("inf"))
-
-
-def measure_light(light: Light, place: StillLife) -> LightMeasure:
-    """Measure one light from the middle of the scene's objects."""
-    towards, size = _extent(light, place)
-    temperature, saturation = temperature_of(_colour(light, place))
-    azimuth = float(np.arctan2(towards[1], towards[0])) - place.camera
-    shaped = bool(getattr(light, "gobo", None) or getattr(light, "profile", None) or getattr(light, "texture", None))
+def measure_light(light: Light, meter: LightMeter) -> LightMeasure:
+    """Measure one light from the centre of the scene's objects."""
+    towards, size = _extent(light, meter)
+    temperature, saturation = temperature_of(_colour(light, meter))
+    azimuth = float(np.arctan2(towards[1], towards[0])) - meter.camera
     return LightMeasure(
         name=light.name,
         kind=light.kind,
         azimuth=float(np.angle(np.exp(1j * azimuth))),
         elevation=float(np.arcsin(np.clip(towards[2], -1.0, 1.0))),
         angular_size=size,
-        illuminance=photometric_from_watts(place.table_irradiance(light)),
-        dome=photometric_from_watts(place.dome_irradiance(light)),
+        illuminance=photometric_from_watts(meter.table_irradiance(light)),
+        dome=photometric_from_watts(meter.dome_irradiance(light)),
         temperature=temperature,
         saturation=saturation,
-        shaped=shaped,
+        shaped=light.is_shaped,
     )
 
 
-def _extent(light: Light, place: StillLife) -> tuple[Float64, float]:
+def _extent(light: Light, meter: LightMeter) -> tuple[Float64, float]:
     """Return the unit vector (3,) towards a light and its angular diameter [rad]."""
     match light:
         case EnvironmentLight():
-            return _spread(light, place)
+            return _spread(light, meter)
         case SunLight() | PointLight() | SpotLight() | AreaLight():
-            size = angular_diameter(light, place.foot)
+            size = angular_diameter(light, meter.foot)
             assert size is not None
-            return _way(light, place), size
+            towards = -np.array(light.direction) if isinstance(light, SunLight) else light.position - meter.foot
+            return np.asarray(towards / np.linalg.norm(towards)), size
         case EmissiveLight():
-            points = place.glowing_triangles(light).reshape(-1, 3)
-            way = points.mean(axis=0) - place.aim
-            distance = max(float(np.linalg.norm(way)), 1e-6)
+            points = meter.glowing_triangles(light).reshape(-1, 3)
+            offset = points.mean(axis=0) - meter.aim
+            distance = max(float(np.linalg.norm(offset)), 1e-6)
             reach = float(np.linalg.norm(points - points.mean(axis=0), axis=1).max())
-            return way / distance, 2.0 * float(np.arctan(reach / distance))
+            return offset / distance, 2.0 * float(np.arctan(reach / distance))
 
 
-def _way(light: SunLight | PointLight | SpotLight | AreaLight, place: StillLife) -> Float64:
-    match light:
-        case SunLight():
-            way = -np.array(light.direction)
-        case PointLight() | SpotLight():
-            way = np.array(light.position) - place.foot
-        case AreaLight():
-            way = np.array(light.world_from_light)[:3, 3] - place.foot
-    return np.asarray(way / np.linalg.norm(way))
-
-
-def _spread(light: EnvironmentLight, place: StillLife) -> tuple[Float64, float]:
+def _spread(light: EnvironmentLight, meter: LightMeter) -> tuple[Float64, float]:
     """Return the mean direction of an environment's light from above, and the disc that spreads as far.
 
     The directions of an even disc of half-angle a have a mean of length (1 + cos a) / 2.
@@ -129,23 +90,17 @@ def _spread(light: EnvironmentLight, place: StillLife) -> tuple[Float64, float]:
     directions, solid_angle = map_directions(light.rotation)
     weight = (directions[..., 2] > 0.0) * solid_angle[:, None]
     if light.map is not None:
-        weight = weight * luminance(small_map(place.library, light.map))
+        weight = weight * luminance(small_map(meter.library, light.map))
     mean = (weight[..., None] * directions).sum(axis=(0, 1)) / weight.sum()
     length = float(np.linalg.norm(mean))
     return mean / length, 2.0 * float(np.arccos(np.clip(2.0 * length - 1.0, -1.0, 1.0)))
 
 
-def _colour(light: Light, place: StillLife) -> Rgb:
+def _colour(light: Light, meter: LightMeter) -> Rgb:
     """Return the colour of a light as a whole; an environment's is that of its light on level ground."""
-    match light:
-        case EnvironmentLight(map=str() as environment):
-            directions, solid_angle = map_directions(0.0)
-            weight = np.maximum(directions[..., 2:], 0.0) * solid_angle[:, None, None]
-            mean = (weight * small_map(place.library, environment)).sum(axis=(0, 1)) * light.radiance
-            return float(mean[0]), float(mean[1]), float(mean[2])
-        case EnvironmentLight() | AreaLight() | EmissiveLight():
-            return light.radiance
-        case SunLight():
-            return light.irradiance
-        case PointLight() | SpotLight():
-            return light.intensity
+    if not isinstance(light, EnvironmentLight) or light.map is None:
+        return light.amount
+    directions, solid_angle = map_directions(0.0)
+    weight = np.maximum(directions[..., 2:], 0.0) * solid_angle[:, None, None]
+    red, green, blue = (weight * small_map(meter.library, light.map)).sum(axis=(0, 1)) * light.radiance
+    return float(red), float(green), float(blue)

@@ -1,111 +1,140 @@
 """Rigs under the sky: sun and sky, overcast, golden hour, a photographed place, or night with practical lamps."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from multilight.lights.photometry.irradiance import StillLife
-from multilight.lights.rigs.balance import Share, balance, scaled
-from multilight.lights.rigs.daylight import environment, moon, open_direction, overcast, sun_and_sky, turned
-from multilight.lights.rigs.design import RigDesign
-from multilight.lights.rigs.lamps import LampKind, Post, draw_tint, hang
-from multilight.lights.rigs.tabletop import glow_share, key_tint
+from multilight.lights.photometry.irradiance import LightMeter
+from multilight.lights.rigs.balance import NOTHING, LightRole, balance
+from multilight.lights.rigs.daylight import environment, moon, open_direction, overcast, rotated_to, sun_and_sky
+from multilight.lights.rigs.design import ELEVATIONS, RigDesign
+from multilight.lights.rigs.lamps import LampKind, LampPlan, draw_tint, hang
+from multilight.lights.rigs.tabletop import glow_of, key_tint
 from multilight.lights.spec import Light, LightRig
 from multilight.scenes.streams import log_uniform, pick_at, weighted_pick
 
 MOODS = {"sun": 0.36, "golden": 0.2, "overcast": 0.12, "place": 0.16, "night": 0.16}
-"""What the weather and the hour are, with the shares of scenes."""
+"""What the weather and the hour are, with their probabilities."""
+GOLDEN, DAY = (6.0, 17.0), (12.0, 62.0)
+"""Elevations of the sun [degrees] in the golden hour, and by day in middle latitudes."""
 PLACE_LUX, NIGHT_LUX = (1000.0, 30_000.0), (8.0, 120.0)
 """Illuminance in a photographed place by day, whose own level is not known, and under practical lamps [lx]."""
 
 
-def outdoor_rig(rng: np.random.Generator, place: StillLife, design: RigDesign, *, lights: tuple[int, int]) -> LightRig:
+@dataclass(frozen=True)
+class _Helper:
+    """A reflector or flash: azimuth from the cameras to either side and elevation [degrees], angular diameter [rad],
+    and its level against the daylight."""
+
+    name: str
+    kind: LampKind
+    azimuth: tuple[float, float]
+    elevation: tuple[float, float]
+    size: tuple[float, float]
+    strength: tuple[float, float]
+
+
+_HELPERS = (
+    _Helper("reflector", "area", (40.0, 110.0), (15.0, 40.0), (0.5, 1.0), (0.08, 0.35)),
+    _Helper("flash", "spot", (60.0, 170.0), (20.0, 55.0), (0.004, 0.06), (0.15, 0.8)),
+    _Helper("rim", "area", (130.0, 180.0), (15.0, 45.0), (0.1, 0.5), (0.15, 0.6)),
+    _Helper("diffuser", "area", (0.0, 180.0), (55.0, 80.0), (0.4, 1.0), (0.1, 0.5)),
+    _Helper("accent", "spot", (20.0, 150.0), (15.0, 60.0), (0.004, 0.1), (0.1, 0.5)),
+    _Helper("kicker", "area", (80.0, 150.0), (12.0, 30.0), (0.1, 0.4), (0.1, 0.4)),
+)
+_PRACTICALS: dict[str, tuple[LampKind, float, float]] = {
+    "lantern": ("point", 2600.0, 0.15),
+    "street_lamp": ("point", 2600.0, 0.15),
+    "window": ("area", 2600.0, 0.15),
+    "sign": ("area", 2600.0, 0.5),
+    "headlight": ("spot", 4500.0, 0.15),
+    "torch": ("spot", 2600.0, 0.15),
+}
+"""What shines by night: its kind, median colour temperature [K], and probability of a gel."""
+
+
+def outdoor_rig(rng: np.random.Generator, meter: LightMeter, design: RigDesign, *, lights: tuple[int, int]) -> LightRig:
     """Draw an outdoor rig of `lights` (fewest, most) lights; sun and sky keep their true strengths.
 
     One light alone by day is the sky: open shade. Beside sun or sky stand reflectors and flashes.
     """
     mood = pick_at(design.mood, MOODS)
     count = min(max(design.lights, lights[0]), lights[1])
-    glow = glow_share(rng, place)
+    glow = glow_of(rng, meter)
     if glow is not None and mood in ("sun", "place"):
         mood = "night"  # in full daylight what glows would hardly show
     if mood == "night":
-        return _night(rng, place, design, max(count, 2), glow)
-    daylight = _place(rng, place, design) if mood == "place" else _daylight(rng, place, design, mood, count)
-    level = place.dome_irradiance(daylight[0])
+        return _night(rng, meter, design, max(count, 2), glow)
+    daylight = _place(rng, meter, design) if mood == "place" else _daylight(rng, meter, design, mood, count)
+    level = meter.dome_irradiance(daylight[0])
     rig = list(daylight)
     if glow is not None:
         rig.append(glow.light)
-    for share in _helpers(rng, place, count - len(rig)):
-        rig.append(scaled(share.light, level * share.strength / max(place.dome_irradiance(share.light), 1e-9)))
+    for role in _helpers(rng, meter, count - len(rig)):
+        rig.append(role.light.scaled(level * role.strength / max(meter.dome_irradiance(role.light), NOTHING)))
     return LightRig(lights=tuple(rig))
 
 
-def _daylight(rng: np.random.Generator, place: StillLife, design: RigDesign, mood: str, count: int) -> list[Light]:
+def _daylight(rng: np.random.Generator, meter: LightMeter, design: RigDesign, mood: str, count: int) -> list[Light]:
     """Return sun and sky in their true strengths, or the sky alone."""
-    low, high = (6.0, 17.0) if mood == "golden" else (12.0, 62.0)
-    height = float(np.radians(low + (high - low) * (np.degrees(design.elevation) - 12.0) / 66.0))
-    found = open_direction(rng, place, place.camera + design.azimuth, height)
+    low, high = GOLDEN if mood == "golden" else DAY
+    height = float(np.radians(low + (high - low) * (np.degrees(design.elevation) - ELEVATIONS[0]) / np.ptp(ELEVATIONS)))
+    found = open_direction(rng, meter, meter.camera + design.azimuth, height)
     if mood == "overcast" or found is None:
         return [overcast(float(rng.uniform(0.0, 2 * np.pi)))]
-    # What blocks the way may turn the sun, but not raise it: the hour is the mood's.
+    # Where something stands before the sun it moves round, but does not rise: the hour is the mood's.
     haze = 2.0 if mood == "golden" else weighted_pick(rng, {2.0: 0.4, 3.0: 0.4, 6.0: 0.2})
     sun, sky = sun_and_sky(found[0], height, haze)
     return [sun, sky] if count > 1 else [sky]
 
 
-def _place(rng: np.random.Generator, place: StillLife, design: RigDesign) -> list[Light]:
+def _place(rng: np.random.Generator, meter: LightMeter, design: RigDesign) -> list[Light]:
     """Return the map of a real place by day, its brightest side where the design has the key."""
-    tint = draw_tint(rng, gels=0.0, middle=6500.0)
-    light = environment(rng, place, tint, name="environment", categories=frozenset({"outdoor"}))
-    light = turned(light, place, place.camera + design.azimuth)
+    tint = draw_tint(rng, gels=0.0, median=6500.0)
+    light = environment(rng, meter, tint, name="environment", categories=frozenset({"outdoor"}))
+    light = rotated_to(light, meter, meter.camera + design.azimuth)
     lux = log_uniform(rng, *PLACE_LUX)
-    return balance(light, (), place, key_to_fill=1.0, lux=lux)
+    return balance(light, (), meter, key_to_fill=1.0, lux=lux)
 
 
-def _helpers(rng: np.random.Generator, place: StillLife, room: int) -> list[Share]:
+def _helpers(rng: np.random.Generator, meter: LightMeter, room: int) -> list[LightRole]:
     """Stand up to `room` reflectors and flashes about the subject, each a part of the daylight."""
-    wanted = (
-        ("reflector", "area", (40.0, 110.0), (15.0, 40.0), (0.5, 1.0), (0.08, 0.35)),
-        ("flash", "spot", (60.0, 170.0), (20.0, 55.0), (0.004, 0.06), (0.15, 0.8)),
-        ("rim", "area", (130.0, 180.0), (15.0, 45.0), (0.1, 0.5), (0.15, 0.6)),
-        ("diffuser", "area", (0.0, 180.0), (55.0, 80.0), (0.4, 1.0), (0.1, 0.5)),
-        ("accent", "spot", (20.0, 150.0), (15.0, 60.0), (0.004, 0.1), (0.1, 0.5)),
-        ("kicker", "area", (80.0, 150.0), (12.0, 30.0), (0.1, 0.4), (0.1, 0.4)),
-    )
-    shares = []
-    for i in rng.permutation(len(wanted))[: max(0, room)]:
-        name, kind, azimuth, elevation, size, strength = wanted[int(i)]
-        lamp: LampKind = "area" if kind == "area" else "spot"
-        turn = float(rng.choice([-1.0, 1.0]) * np.radians(rng.uniform(*azimuth)))
-        tint = draw_tint(rng, gels=0.0 if name in ("reflector", "diffuser") else 0.3, middle=5400.0)
-        post = Post(name, lamp, turn, float(np.radians(rng.uniform(*elevation))), log_uniform(rng, *size), tint)
-        shares.append(Share(hang(rng, place, post), log_uniform(rng, *strength)))
-    return shares
+    roles = []
+    for i in rng.permutation(len(_HELPERS))[: max(0, room)]:
+        wanted = _HELPERS[int(i)]
+        side = float(rng.choice([-1.0, 1.0]) * np.radians(rng.uniform(*wanted.azimuth)))
+        tint = draw_tint(rng, gels=0.0 if wanted.name in ("reflector", "diffuser") else 0.3, median=5400.0)
+        elevation = float(np.radians(rng.uniform(*wanted.elevation)))
+        plan = LampPlan(wanted.name, wanted.kind, side, elevation, log_uniform(rng, *wanted.size), tint)
+        roles.append(LightRole(hang(rng, meter, plan), log_uniform(rng, *wanted.strength)))
+    return roles
 
 
-def _night(rng: np.random.Generator, place: StillLife, design: RigDesign, count: int, glow: Share | None) -> LightRig:
+def _night(
+    rng: np.random.Generator, meter: LightMeter, design: RigDesign, count: int, glow: LightRole | None
+) -> LightRig:
     """Light the subject with lanterns and street lamps under a night sky, maybe with the moon."""
     kind: LampKind = "spot" if design.key == "spot" else "point"
     size = min(design.angular_size, 0.2)
     shaping = "profile" if kind == "point" and design.shaping != "plain" else "plain"
     elevation = max(design.elevation, 0.3)
-    key = hang(rng, place, Post("lamp", kind, design.azimuth, elevation, size, key_tint(rng, design), shaping))
-    tint = draw_tint(rng, gels=0.0, middle=9000.0)
-    sky = environment(rng, place, tint, name="environment", categories=frozenset({"night"}))
-    others = ([glow] if glow else []) + [Share(sky, log_uniform(rng, 0.3, 1.0))]
+    key = hang(rng, meter, LampPlan("lamp", kind, design.azimuth, elevation, size, key_tint(rng, design), shaping))
+    tint = draw_tint(rng, gels=0.0, median=9000.0)
+    sky = environment(rng, meter, tint, name="environment", categories=frozenset({"night"}))
+    others = ([glow] if glow else []) + [LightRole(sky, log_uniform(rng, 0.3, 1.0))]
     room = count - 1 - len(others)
     if room > 0 and rng.random() < 0.5:
         found = open_direction(
-            rng, place, place.camera + float(rng.uniform(-np.pi, np.pi)), float(rng.uniform(0.4, 1.1))
+            rng, meter, meter.camera + float(rng.uniform(-np.pi, np.pi)), float(rng.uniform(0.4, 1.1))
         )
         if found is not None:
-            others.append(Share(moon(*found), log_uniform(rng, 0.4, 1.0)))
+            others.append(LightRole(moon(*found), log_uniform(rng, 0.4, 1.0)))
             room -= 1
-    for name in ("lantern", "street_lamp", "window", "sign", "headlight", "torch")[: max(0, room)]:
-        warm = draw_tint(rng, gels=0.5 if name == "sign" else 0.15, middle=4500.0 if name == "headlight" else 2600.0)
-        lamp: LampKind = "area" if name in ("window", "sign") else "spot" if name in ("headlight", "torch") else "point"
+    for name, (lamp, median, gels) in list(_PRACTICALS.items())[: max(0, room)]:
+        tint = draw_tint(rng, gels=gels, median=median)
         size = log_uniform(rng, 0.1, 0.5) if lamp == "area" else log_uniform(rng, 0.01, 0.1)
         height = float(np.radians(rng.uniform(12.0, 55.0)))
-        post = Post(name, lamp, float(rng.uniform(-np.pi, np.pi)), height, size, warm, "profile")
-        others.append(Share(hang(rng, place, post), log_uniform(rng, 0.5, 1.5)))
+        plan = LampPlan(name, lamp, float(rng.uniform(-np.pi, np.pi)), height, size, tint, "profile")
+        others.append(LightRole(hang(rng, meter, plan), log_uniform(rng, 0.5, 1.5)))
     lux = log_uniform(rng, *NIGHT_LUX)
-    return LightRig(lights=tuple(balance(key, others, place, key_to_fill=design.key_to_fill, lux=lux)))
+    return LightRig(lights=tuple(balance(key, others, meter, key_to_fill=design.key_to_fill, lux=lux)))

@@ -15,13 +15,11 @@ from multilight.lights.photometry.radiometry import (
     spot_intensity_from_flux,
     watts_from_photometric,
 )
-from multilight.lights.rigs.balance import scaled
 from multilight.lights.rigs.design import rig_design
+from multilight.lights.rigs.lamps import vector
 from multilight.lights.rigs.windows import daylight, sunlight
 from multilight.lights.spec import AreaLight, EmissiveLight, Light, LightRig, SpotLight
 from multilight.scenes.assets.library import AssetLibrary
-from multilight.scenes.colour import luminance
-from multilight.scenes.frozen import Rgb
 from multilight.scenes.geometry.rays import body_triangles, part_triangles
 from multilight.scenes.materials import GLOW
 from multilight.scenes.materials.emission import sample_glow
@@ -37,15 +35,23 @@ DUSK_LUX = (15.0, 120.0)
 ROOM_LUX = (80.0, 350.0)
 """Mean illuminance of the floor by lamps [lx]: a cosy to a well-lit room (EN 12464-1 asks 300 for reading)."""
 UTILISATION = 0.4
-"""Share of the lamps' flux that reaches the floor, directly and by way of walls and ceiling."""
+"""Fraction of the lamps' flux that reaches the floor, directly and from walls and ceiling."""
 FLUX: dict[str, tuple[float, float]] = {
     "ceilinglamp": (1200.0, 3500.0), "ceiling_lamp": (1200.0, 3500.0), "pendant": (600.0, 1600.0),
     "floorlamp": (600.0, 1600.0), "floor_lamp": (600.0, 1600.0), "tablelamp": (300.0, 800.0),
     "big_table_lamp": (300.0, 800.0), "lamp": (150.0, 600.0), "fireplace": (200.0, 600.0), "candle": (10.0, 20.0),
 }  # fmt: skip
 """Luminous flux [lm] by category: household lamps; a candle of 1 cd gives 4 pi lm."""
+STRONGER = (0.5, 2.5)
+"""How far lamps may depart from the flux that was drawn: with dimmers and in pairs."""
+HOURS = {"day": 0.66, "dusk": 0.22, "night": 0.12}
+"""Probabilities of what the windows bring."""
+SUNNY, RECESSED = 0.6, 0.35
+"""Probabilities that the sun comes in by day, and that a light is let into the ceiling."""
+DOWNLIGHT_LUMENS, PANEL_LUMENS = (250.0, 700.0), (700.0, 2500.0)
+"""Luminous flux of recessed spots, and of flat panels of 20 to 60 cm [lm]."""
 GELS = 0.05
-"""Share of a room's own lamps that shine in a saturated colour."""
+"""Fraction of a room's own lamps that shine in a saturated colour."""
 SCREEN_NITS = (90.0, 350.0)
 """Luminance of screens [cd/m²]."""
 _FLAMES = ("flame", "vela")
@@ -66,7 +72,7 @@ class _Glow:
         return FLUX.get(self.kind, (0.0, 0.0))[1] > 500
 
 
-def sample_room_rig(
+def room_rig(
     streams: Streams, scene: SceneSpec, library: AssetLibrary, *, lights: tuple[int, int] = (1, MOST_LIGHTS)
 ) -> LightRig:
     """Draw the lights of a room scene: what is named `GLOW` shines, windows bring daylight or dusk, or none.
@@ -80,7 +86,7 @@ def sample_room_rig(
     windows = [body for body in scene.bodies if body.category == "window"]
     if not windows and not glows:
         raise ValueError(f"scene {scene.index} has neither windows nor lamps, so nothing can light it")
-    hour = weighted_pick(rng, {"day": 0.66, "dusk": 0.22, "night": 0.12})
+    hour = weighted_pick(rng, HOURS)
     if sum(glow.bright for glow in glows) < 2 or not windows:
         hour = "day" if windows else "night"
     inserted = sum(glow.body.insertable for glow in glows)
@@ -89,7 +95,7 @@ def sample_room_rig(
     if hour != "night":
         sky_lux = log_uniform(rng, *(DAY_LUX if hour == "day" else DUSK_LUX))
         day.append(daylight(rng, windows, library, sky_lux))
-        if hour == "day" and rng.random() < 0.6:
+        if hour == "day" and rng.random() < SUNNY:
             day.append(sunlight(rng, windows, sky_lux))
     # By night the brightest lamp is what daylight is by day: always on.
     first = min(inserted + (not day), len(glows))
@@ -97,17 +103,16 @@ def sample_room_rig(
     optional = [optional[int(i)] for i in rng.permutation(len(optional))]
     chosen = [*glows[:first], *day[:1], *optional][:count]
     spots = _downlights(rng, scene, lights[0] - len(chosen), most=count - len(chosen))
-    shining = [_shining(rng, glow, library) for glow in chosen if isinstance(glow, _Glow)]
-    lamps = _scaled_to(log_uniform(rng, *ROOM_LUX) * _floor_area(scene, library), shining, glows)
+    shining = [(glow, _shining(rng, glow, library)) for glow in chosen if isinstance(glow, _Glow)]
+    lamps = _scaled_to(log_uniform(rng, *ROOM_LUX) * _floor_area(scene, library), shining)
     return LightRig(lights=(*(light for light in chosen if not isinstance(light, _Glow)), *lamps, *spots))
 
 
-def _scaled_to(wanted: float, lamps: list[EmissiveLight], glows: list[_Glow]) -> list[Light]:
+def _scaled_to(wanted: float, shining: list[tuple[_Glow, EmissiveLight]]) -> list[Light]:
     """Make lamps as strong as a room asks that wants `wanted` lumens on its floor, within what is sold."""
-    flux = sum(_flux(light, glows) for light in lamps)
-    factor = float(np.clip(wanted / UTILISATION / max(flux, 1.0), 0.5, 2.5))
-    bright = {glow.body.name for glow in glows if glow.bright}
-    return [scaled(light, factor) if light.name in bright else light for light in lamps]
+    lamps = [light.grey * np.pi * glow.area / watts_from_photometric(1.0) for glow, light in shining if glow.bright]
+    factor = float(np.clip(wanted / UTILISATION / max(sum(lamps), 1.0), *STRONGER))
+    return [light.scaled(factor) if glow.bright else light for glow, light in shining]
 
 
 def _glows(rng: np.random.Generator, scene: SceneSpec, library: AssetLibrary) -> list[_Glow]:
@@ -166,15 +171,6 @@ def _shining(rng: np.random.Generator, glow: _Glow, library: AssetLibrary) -> Em
     )
 
 
-def _flux(light: Light, glows: list[_Glow]) -> float:
-    """Return the luminous flux of a shining part [lm], 0 for screens and candles."""
-    assert isinstance(light, EmissiveLight)
-    glow = next(glow for glow in glows if glow.body.name == light.body)
-    if not glow.bright:
-        return 0.0
-    return _grey(light.radiance) * np.pi * glow.area / watts_from_photometric(1.0)
-
-
 def _floor_area(scene: SceneSpec, library: AssetLibrary) -> float:
     """Return the floor's area [m²], from the walls' extent in the room's own axes."""
     walls = [body for body in scene.bodies if body.category == "skirting"]
@@ -185,31 +181,31 @@ def _floor_area(scene: SceneSpec, library: AssetLibrary) -> float:
 
 
 def _downlights(rng: np.random.Generator, scene: SceneSpec, fewest: int, *, most: int) -> list[Light]:
-    """Let recessed spots or flat panels in the ceiling shine down: one in a third of the rooms.
+    """Let recessed spots or flat panels in the ceiling shine down, as often as `RECESSED` says.
 
     At least `fewest`, and none beyond `most`.
     """
-    count = min(max(fewest, int(rng.random() < 0.35)), max(most, 0))
+    count = min(max(fewest, int(rng.random() < RECESSED)), max(most, 0))
     return [_downlight(rng, scene, "" if number == 0 else f"_{number + 1}") for number in range(count)]
 
 
 def _downlight(rng: np.random.Generator, scene: SceneSpec, suffix: str) -> SpotLight | AreaLight:
-    """Let one shine down between what is inserted and the middle of the room."""
+    """Let one shine down between what is inserted and the centre of the room."""
     places = np.array([np.array(body.world_from_body)[:3, 3] for body in scene.bodies if body.insertable])
     ceiling = next(body for body in scene.bodies if body.category == "ceiling")
-    middle = np.array(ceiling.world_from_body)[:3, 3]
+    centre = np.array(ceiling.world_from_body)[:3, 3]
     inwards = float(rng.uniform(0.1, 0.5) if not suffix else rng.uniform(0.2, 1.2))
-    flat = (1 - inwards) * places.mean(axis=0)[:2] + inwards * middle[:2] + rng.uniform(-0.2, 0.2, 2)
-    place = np.array([*flat, middle[2] - 0.01])
+    flat = (1 - inwards) * places.mean(axis=0)[:2] + inwards * centre[:2] + rng.uniform(-0.2, 0.2, 2)
+    place = np.array([*flat, centre[2] - 0.01])
     temperature = round(float(rng.uniform(2900.0, 5500.0)))
     colour = temperature_to_rgb(temperature)
     if rng.random() < 0.6:
         half = float(np.radians(rng.uniform(16.0, 38.0)))
-        flux = watts_from_photometric(log_uniform(rng, 250.0, 700.0))
+        flux = watts_from_photometric(log_uniform(rng, *DOWNLIGHT_LUMENS))
         return SpotLight(
             name=f"downlight{suffix}",
             colour_temperature=temperature,
-            position=(float(place[0]), float(place[1]), float(place[2])),
+            position=vector(place),
             direction=(0.0, 0.0, -1.0),
             intensity=rgb_from_scalar(spot_intensity_from_flux(flux, half), colour),
             half_angle=half,
@@ -217,7 +213,7 @@ def _downlight(rng: np.random.Generator, scene: SceneSpec, suffix: str) -> SpotL
             radius=0.03,
         )
     side = float(rng.uniform(0.2, 0.6))
-    flux = watts_from_photometric(log_uniform(rng, 700.0, 2500.0))
+    flux = watts_from_photometric(log_uniform(rng, *PANEL_LUMENS))
     return AreaLight(
         name=f"panel{suffix}",
         colour_temperature=temperature,
@@ -226,8 +222,3 @@ def _downlight(rng: np.random.Generator, scene: SceneSpec, suffix: str) -> SpotL
         world_from_light=matrix4(translation(place)),
         radiance=rgb_from_scalar(area_radiance_from_flux(flux, side * side), colour),
     )
-
-
-def _grey(colour: Rgb) -> float:
-    """Return the luminance of one RGB value."""
-    return float(luminance(np.array(colour)))

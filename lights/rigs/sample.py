@@ -2,19 +2,17 @@
 
 from typing import get_args
 
-from multilight.lights.photometry.irradiance import StillLife
-from multilight.lights.rigs.balance import scaled
+from multilight.lights.photometry.irradiance import LightMeter
 from multilight.lights.rigs.custom import custom_rig
 from multilight.lights.rigs.design import rig_design
 from multilight.lights.rigs.outdoor import outdoor_rig
+from multilight.lights.rigs.rooms import room_rig
 from multilight.lights.rigs.studio import studio_rig
 from multilight.lights.rigs.tabletop import LightKind, tabletop_rig
 from multilight.lights.spec import LightRig
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.spec import SceneSpec
 from multilight.scenes.streams import Streams
-
-__all__ = ["ALL_KINDS", "SPHERES_KINDS", "LightKind", "sample_rig", "scaled"]
 
 ALL_KINDS: tuple[LightKind, ...] = get_args(LightKind)
 SPHERES_KINDS: tuple[LightKind, ...] = ("environment", "sun", "point", "spot")
@@ -32,21 +30,17 @@ def sample_rig(
     """Draw the rig of a scene: `lights` (fewest, most) lights, the key first; the same streams give the same rig.
 
     The scene's kind says which preset: a room's own fixtures, a background's lights, a studio, sun and sky, or lamps
-    about a table. Only
-    the last keeps to `kinds`, and raises `ValueError` where those hold no lamp (point, spot, area).
+    about a table. Only the last keeps to `kinds`, and raises `ValueError` where those hold no lamp (point, spot, area).
     """
     if scene.kind == "room":
-        from multilight.lights.rigs.rooms import sample_room_rig  # which draws on this module
-
-        return sample_room_rig(streams, scene, library, lights=lights)
-    place = StillLife.of(scene, library)
-    design = rig_design(streams)
+        return room_rig(streams, scene, library, lights=lights)
+    rng, meter, design = streams("rig"), LightMeter.of(scene, library), rig_design(streams)
     match scene.kind:
         case "studio":
-            return studio_rig(streams("rig"), place, design, lights=lights)
+            return studio_rig(rng, meter, design, lights=lights)
         case "custom":
-            return custom_rig(streams("rig"), place, design, lights=lights)
+            return custom_rig(rng, meter, design, lights=lights)
         case "outdoor":
-            return outdoor_rig(streams("rig"), place, design, lights=lights)
+            return outdoor_rig(rng, meter, design, lights=lights)
         case _:
-            return tabletop_rig(streams("rig"), place, design, kinds=kinds, lights=lights)
+            return tabletop_rig(rng, meter, design, kinds=kinds, lights=lights)

@@ -5,6 +5,8 @@ import numpy as np
 from multilight.lights.photometry.colour import temperature_to_rgb
 from multilight.lights.photometry.irradiance import map_directions, small_map
 from multilight.lights.photometry.radiometry import rgb_from_scalar, watts_from_photometric
+from multilight.lights.rigs.balance import NOTHING
+from multilight.lights.rigs.lamps import vector
 from multilight.lights.spec import SUN_ANGLE, EnvironmentLight, SunLight
 from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.library import AssetLibrary
@@ -15,15 +17,17 @@ from multilight.scenes.streams import log_uniform
 
 SUN_RATIO = (1.0, 5.0)
 """Illuminance of sunlight, facing it, against that of the sky on the window."""
-SKY_SHARE = 0.15
-"""Share of the rooms high above everything, with nothing but sky before the windows."""
+HIGH_UP = 0.15
+"""Probability that a room is high above everything, with nothing but sky before the windows."""
+WINDOW_SUN_SIZES = (SUN_ANGLE, 0.05)
+"""Angular diameters of the sun [rad] that comes in, from its own to a veiled one."""
 
 
 def daylight(rng: np.random.Generator, windows: list[Body], library: AssetLibrary, lux: float) -> EnvironmentLight:
-    """Draw what is outside: an outdoor map turned so that its bright side is before a window, scaled to `lux`."""
+    """Draw what is outside: an outdoor map rotated so that its bright side is before a window, scaled to `lux`."""
     outward = _outward(windows[int(rng.integers(len(windows)))])
     wanted = watts_from_photometric(lux)
-    wanted_kind = "sky" if rng.random() < SKY_SHARE else "outdoor"
+    wanted_kind = "sky" if rng.random() < HIGH_UP else "outdoor"
     found = [info for info in library.list("environment") if info.category in ("outdoor", "sky")]
     maps = [info for info in found if info.category == wanted_kind] or found
     if not maps:
@@ -40,12 +44,12 @@ def daylight(rng: np.random.Generator, windows: list[Body], library: AssetLibrar
     directions, _ = map_directions(rotation)
     cosine = np.maximum(directions @ outward, 0.0)
     unit = float((image * solid_angle[:, None] * cosine).sum())
-    factor = wanted / max(unit, 1e-9)
+    factor = wanted / max(unit, NOTHING)
     return EnvironmentLight(name="environment", map=info.id, rotation=rotation, radiance=(factor, factor, factor))
 
 
 def _outward(window: Body) -> Float64:
-    """Return the way out of a window (3,): assets face the room with -Y."""
+    """Return the direction out of a window (3,): assets face the room with -Y."""
     pose = np.array(window.world_from_body)
     return np.asarray(pose[:3, 1] / np.linalg.norm(pose[:3, 1]))
 
@@ -55,14 +59,13 @@ def sunlight(rng: np.random.Generator, windows: list[Body], sky_lux: float) -> S
     outward = _outward(windows[int(rng.integers(len(windows)))])
     azimuth = float(np.arctan2(outward[1], outward[0])) + float(rng.uniform(-1.0, 1.0))
     elevation = float(np.radians(rng.uniform(14.0, 50.0)))
-    towards = direction_from(azimuth, elevation)
     temperature = round(float(np.interp(elevation, [0.25, 0.9], [3800.0, 5600.0]) * rng.uniform(0.95, 1.05)))
     strength = watts_from_photometric(sky_lux * log_uniform(rng, *SUN_RATIO))
-    angle = SUN_ANGLE if rng.random() < 0.6 else log_uniform(rng, SUN_ANGLE, 0.05)
+    angle = SUN_ANGLE if rng.random() < 0.6 else log_uniform(rng, *WINDOW_SUN_SIZES)
     return SunLight(
         name="sun",
         colour_temperature=temperature,
-        direction=(float(-towards[0]), float(-towards[1]), float(-towards[2])),
+        direction=vector(-direction_from(azimuth, elevation)),
         irradiance=rgb_from_scalar(strength, temperature_to_rgb(temperature)),
         angle=angle,
     )

@@ -11,6 +11,7 @@ from multilight.datagen.errors import UserError
 from multilight.datagen.storage.packed import PackedView
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.training_source import open_training
+from multilight.datagen.storage.variants import ALL
 from multilight.lights.photometry.angular_size import angular_diameter
 from multilight.lights.spec import EmissiveLight
 from multilight.model.data.dataset import MultiLightDataset, make_samples
@@ -29,8 +30,8 @@ MOST_VIEWS = 4
 """Views of a scene that are shown under one lighting."""
 HARD = np.radians(3.0)
 """A light of a smaller angular diameter throws shadows with hard edges: a penumbra below a twentieth of the height."""
-KEY_SHARE = 0.5
-"""Least share of the picture's light that a small light must have for its shadows to be seen."""
+LEAST_THROWING = 0.5
+"""Least fraction of the picture's light that a small light must have for its shadows to be seen."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +154,7 @@ def subsets_of(record: SceneRecord, name: str, shares: dict[str, float]) -> tupl
     found = [f"kind: {record.scene.kind}"]
     if any(isinstance(light, EmissiveLight) and light.body == name and share > 0 for light, share in lit):
         found.append("emissive")
-    sizes = [angular_diameter(light, place) for light, share in lit if share >= KEY_SHARE]
+    sizes = [angular_diameter(light, place) for light, share in lit if share >= LEAST_THROWING]
     if any(size is not None and size < HARD for size in sizes):
         found.append("hard shadow")
     if any(material_class(m) == "mirror" for m in body.materials) or any(map(is_mirror, record.scene.bodies)):
@@ -163,6 +164,6 @@ def subsets_of(record: SceneRecord, name: str, shares: dict[str, float]) -> tupl
 
 def light_shares(views: list[PackedView], gains: Float32) -> dict[str, float]:
     """Return the share of the views' mean luminance that comes from each light under gains (L, 3)."""
-    layers = [view.variant("all").mean(axis=(1, 2), dtype=np.float64) for view in views]
+    layers = [view.variant(ALL).mean(axis=(1, 2), dtype=np.float64) for view in views]
     found = luminance(np.mean(layers, axis=0) * gains)
     return dict(zip(views[0].lights, (found / max(found.sum(), 1e-12)).tolist(), strict=True))

@@ -17,7 +17,6 @@ from multilight.datagen.cli import main
 from multilight.datagen.errors import StoreError, UserError
 from multilight.datagen.storage.source import DatasetSource, open_dataset
 from multilight.datagen.storage.store import ViewData
-from tests.datagen.chain import rewrite_json
 from tests.datagen.servers import http_server, in_memory, s3_server
 
 
@@ -72,33 +71,10 @@ def test_reading_writes_nothing(spheres_dataset: Path, tmp_path: Path) -> None:
     with in_memory(spheres_dataset) as address:
         memory = fsspec.filesystem("memory")
         before = {name: memory.cat_file(name) for name in memory.find("/sets")}
-        source = open_dataset(address, cache=tmp_path / "cache")
+        source = open_dataset(address)
         for record in source.scenes():
             source.view(record, 0)
         assert {name: memory.cat_file(name) for name in memory.find("/sets")} == before
-
-
-def test_a_cached_view_is_fetched_once(spheres_dataset: Path, tmp_path: Path) -> None:
-    with http_server(spheres_dataset) as (address, asked):
-        views = []
-        for _ in range(2):
-            source = open_dataset(address, cache=tmp_path)
-            views.append(source.view(source.scene(0), 0))
-        assert asked.count("/scenes/000000/views/00.exr") == 1
-        same_view(*views)
-    assert not list(tmp_path.rglob("*.tmp"))
-
-
-def test_the_cache_does_not_mix_datasets_up(spheres_copy: Path, tmp_path: Path) -> None:
-    cache = tmp_path / "cache"
-    with http_server(spheres_copy) as (address, asked):
-        first = open_dataset(address, cache=cache)
-        first.view(first.scene(0), 0)
-        rewrite_json(spheres_copy / "dataset.json", lambda record: record["config"].update(seed=5))
-        second = open_dataset(address, cache=cache)
-        assert second.record.config.seed == 5
-        second.view(second.scene(0), 0)
-        assert asked.count("/scenes/000000/views/00.exr") == 2
 
 
 def read_in_child(source: DatasetSource, results: "multiprocessing.SimpleQueue[float]") -> None:

@@ -1,5 +1,6 @@
 """Each check of `verify` finds the fault it is there for, and nothing in a sound dataset."""
 
+import contextlib
 import dataclasses
 import shutil
 from collections.abc import Callable
@@ -21,12 +22,17 @@ from multilight.datagen.storage.store import (
 )
 from multilight.datagen.tuples.exposure import DARK, LIFTED_BRIGHT, LIFTED_DARK, meter_condition
 from multilight.datagen.verification.dataset import verify_dataset
-from multilight.datagen.verification.views import verify_scene
+from multilight.datagen.verification.views import Fault, verify_views
 from multilight.lights.spec import LightingCondition
 from multilight.scenes.arrays import Float32
 from multilight.scenes.colour import luminance
 
 Damage = Callable[[ViewData, str], ViewData]
+
+
+def verify_scene(folder: Path) -> list[Fault]:
+    """Check the views of one scene's folder alone."""
+    return verify_views(read_scene(folder), lambda name: contextlib.nullcontext(folder / name))
 
 
 def test_a_sound_dataset_has_no_fault(spheres_dataset: Path) -> None:

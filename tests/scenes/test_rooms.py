@@ -5,7 +5,7 @@ import pytest
 from trimesh import Trimesh
 from trimesh.creation import box
 
-from multilight.lights.rigs.rooms import MOST_LIGHTS, sample_room_rig
+from multilight.lights.rigs.rooms import MOST_LIGHTS, room_rig
 from multilight.lights.rigs.sample import sample_rig
 from multilight.lights.spec import AreaLight, EmissiveLight, EnvironmentLight, SpotLight, SunLight
 from multilight.scenes.assets.builtin.joinery import EAR, SILL
@@ -167,7 +167,7 @@ def test_rigs_light_rooms(scenes: list[SceneSpec], library: AssetLibrary) -> Non
     kinds: set[str] = set()
     for scene in scenes:
         for seed in range(8):
-            rig = sample_room_rig(Streams(seed, scene.index), scene, library)
+            rig = room_rig(Streams(seed, scene.index), scene, library)
             assert 1 <= len(rig.lights) <= MOST_LIGHTS
             kinds |= {light.kind for light in rig.lights}
             for light in rig.lights:
@@ -185,7 +185,7 @@ def test_rigs_of_rooms_keep_to_the_number_of_lights(
     scenes: list[SceneSpec], library: AssetLibrary, wanted: tuple[int, int]
 ) -> None:
     for scene in scenes[:3]:
-        rig = sample_room_rig(Streams(2, scene.index), scene, library, lights=wanted)
+        rig = room_rig(Streams(2, scene.index), scene, library, lights=wanted)
         assert len(rig.lights) == wanted[0]
         low, high = room_bounds(scene, library)
         for light in rig.lights:

@@ -11,7 +11,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from multilight.datagen.backends.analytic.lighting import check_lights, colour_of, exitance_share
+from multilight.datagen.backends.analytic.lighting import check_lights, exitance_share
 from multilight.datagen.backends.analytic.shapes import Ball, Shape, column, dot, shapes_of
 from multilight.datagen.backends.protocol import BackendError, RenderJob, split_variant, view_camera
 from multilight.datagen.storage.layers import GeometryBuffers, LayerStack
@@ -116,7 +116,7 @@ def _sample_grid(
         owners = traced[0][chosen]
         for layer, light in zip(total, lights, strict=True):
             share = exitance_share(light, shapes, points, normals, owners)
-            layer[:, chosen] += column(colour_of(light)) * albedo * share
+            layer[:, chosen] += column(light.amount) * albedo * share
             if isinstance(light, EmissiveLight):
                 glowing = [shape.number for shape in shapes if shape.name == light.body]
                 layer[:, chosen] += column(light.radiance) * np.isin(owners, glowing)

@@ -10,7 +10,6 @@ from multilight.datagen.backends.analytic.shapes import Ball, Plate, Shape, colu
 from multilight.datagen.backends.protocol import BackendError
 from multilight.lights.spec import EmissiveLight, EnvironmentLight, Light, LightRig, PointLight, SpotLight, SunLight
 from multilight.scenes.arrays import Float64
-from multilight.scenes.frozen import Rgb
 from multilight.scenes.spec import SceneSpec, Sphere
 
 
@@ -35,18 +34,6 @@ def check_lights(rig: LightRig, scene: SceneSpec) -> None:
             case _:
                 reason = f"the kind {light.kind!r}, which has no closed form in the analytic renderer"
         raise BackendError(f"light {light.name!r} has {reason}; use the renderer cycles for it")
-
-
-def colour_of(light: Light) -> Rgb:
-    """Return the light's quantity by channel, whatever its unit."""
-    match light:
-        case EnvironmentLight() | EmissiveLight():
-            return light.radiance
-        case SunLight():
-            return light.irradiance
-        case PointLight() | SpotLight():
-            return light.intensity
-    raise BackendError(f"light kind {light.kind!r} has no closed form in the analytic renderer")
 
 
 def exitance_share(

@@ -7,8 +7,8 @@ from typing import Literal
 
 from multilight.datagen.errors import UserError
 from multilight.datagen.export.captures.points import ScenePoints, scene_points
-from multilight.datagen.export.images import depth_mm, png, share_to_byte
-from multilight.datagen.storage.copies import files_of, making, whole_folder
+from multilight.datagen.export.images import depth_mm, png, to_byte
+from multilight.datagen.storage.copies import Report, making
 from multilight.datagen.storage.manifest import scene_part
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.source import DatasetSource
@@ -49,7 +49,7 @@ def export_captures(
     kind: Literal["nerfstudio", "colmap"],
     conditions: int | None,
     points: int,
-    report: Callable[[float, float], None],
+    report: Report,
 ) -> int:
     """Write `out/scene_000000/<condition>/` for every scene and lighting with `write`, and return how many are there.
 
@@ -68,10 +68,8 @@ def export_captures(
                 part = scene_part(source, record.index)
                 missing = [lit for lit in chosen if not copy.keeps(f"{scene}/{lit.name}", part)]
                 for capture in _captures(source, record, missing, points):
-                    name = f"{scene}/{capture.condition.name}"
-                    with whole_folder(out, name) as partial:
-                        write(capture, partial)
-                    copy.add(name, part, files_of(out, name))
+                    with copy.filling_part(f"{scene}/{capture.condition.name}", part) as folder:
+                        write(capture, folder)
                 written += len(chosen)
             report(done + 1, len(source.indices))
         copy.finish()
@@ -89,19 +87,18 @@ def write_pictures(capture: Capture, folder: Path, *, mask_name: str) -> None:
     for number, (image, depth, sky) in enumerate(zip(capture.images, scene.depths, scene.environments, strict=True)):
         (folder / "images" / f"{number:02d}.png").write_bytes(png(image))
         (folder / "depths" / f"{number:02d}.png").write_bytes(png(depth_mm(depth)))
-        mask = share_to_byte(sky < 0.5)
+        mask = to_byte(sky < 0.5)
         (folder / "masks" / mask_name.format(f"{number:02d}")).write_bytes(png(mask))
 
 
 def _captures(
     source: DatasetSource, record: SceneRecord, conditions: Sequence[LightingCondition], count: int
 ) -> Sequence[Capture]:
-    """Read each view once, light it every way, and keep the pictures only: layers of all views would fill memory."""
+    """Read each view once and keep its pictures under each condition only: layers of all views would fill memory."""
     if not conditions:
         return ()
     geometry, pictures = [], []
-    for number in range(len(record.views)):
-        view = source.view(record, number)
+    for view in source.views(record):
         geometry.append(view.geometry)
         pictures.append([to_display(compose.target(view, condition)) for condition in conditions])
     depths = tuple(buffers.z_depth for buffers in geometry)

@@ -1,11 +1,11 @@
 """Captures as nerfstudio reads them: `transforms.json`, images, depth, masks, points."""
 
-import json
 from pathlib import Path
 from typing import Any
 
 from multilight.datagen.export.captures.capture import Capture, write_pictures
 from multilight.datagen.export.captures.points import write_ply
+from multilight.datagen.export.files import write_json
 from multilight.scenes.spec import Camera
 
 
@@ -14,7 +14,7 @@ def write_nerfstudio(capture: Capture, folder: Path) -> None:
     write_pictures(capture, folder, mask_name="{}.png")
     points = capture.scene.points
     write_ply(folder / "points.ply", points, points.colours(capture.images))
-    (folder / "transforms.json").write_text(json.dumps(transforms(capture), indent=1) + "\n")
+    write_json(folder / "transforms.json", transforms(capture))
 
 
 def transforms(capture: Capture) -> dict[str, Any]:

@@ -19,14 +19,13 @@ from multilight.datagen.export.dtc.readme import write_readme
 from multilight.datagen.export.dtc.request import DtcExport
 from multilight.datagen.export.dtc.scene import Frame
 from multilight.datagen.export.dtc.work import Job, export_scene
-from multilight.datagen.storage.copies import Copy, making
+from multilight.datagen.storage.copies import Copy, Report, making
 from multilight.datagen.storage.manifest import FileEntry, ScenePart, scene_part
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.source import open_dataset
 from multilight.datagen.storage.store import write_text
 from multilight.scenes.gaussians.curves import fold
 
-Report = Callable[[float, float], None]
 ROOTS: dict[str, str] = {
     "2d-train": "DTC-MultiLight-2D",
     "3d-train": "DTC-MultiLight-3D",

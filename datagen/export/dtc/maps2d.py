@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from multilight.datagen.export.dtc.files import repeat, write_json, write_png
 from multilight.datagen.export.dtc.scene import Geometry
+from multilight.datagen.export.files import repeat, write_json, write_png
 from multilight.scenes.arrays import UInt8
 from multilight.scenes.spec import Camera
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from multilight.datagen.export.dtc.files import repeat, write_json, write_png
 from multilight.datagen.export.dtc.scene import Geometry
+from multilight.datagen.export.files import repeat, write_json, write_png
 from multilight.scenes.arrays import UInt8
 from multilight.scenes.gaussians.from_views import SceneGaussians, gaussians_from_views
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from multilight.datagen.export.credits import credit_lines
-from multilight.datagen.storage.records import AssetCredit, SceneRecord
+from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.store import write_text
 from multilight.datagen.text import markdown
 
@@ -29,12 +29,12 @@ export again, which writes them anew, or edit them.
 
 def write_readme(out: Path, address: str, records: Sequence[SceneRecord]) -> None:
     """Write `README.md`, with the credits that the assets' licences ask for."""
-    credits: dict[str, AssetCredit] = {credit.id: credit for record in records for credit in record.assets}
+    credits = [credit for record in records for credit in record.assets]
     train = sum(record.split == "train" for record in records)
     text = TEXT.format(
         address=markdown(address),
         train=train,
         rest=len(records) - train,
-        credits="\n".join(credit_lines([credits[name] for name in sorted(credits)])),
+        credits="\n".join(credit_lines(credits)),
     )
     write_text(out / "README.md", text)

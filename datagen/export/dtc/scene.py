@@ -1,6 +1,6 @@
 """What the DTC-MultiLight exports need of a scene: stored frames, lightings with their exposure, geometry."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,10 +8,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from multilight.datagen.errors import UserError
-from multilight.datagen.export.images import share_to_byte
+from multilight.datagen.export.images import to_byte
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.source import DatasetSource
-from multilight.datagen.storage.store import ViewData
 from multilight.datagen.tuples import compose
 from multilight.lights.display.reinhard import Metering, ViewMetering, join, meter_view
 from multilight.lights.spec import LightingCondition
@@ -128,12 +127,6 @@ def numbered(number: int) -> str:
     return "{}_{}".format(*divmod(number, VARIANTS))
 
 
-def views(source: DatasetSource, record: SceneRecord) -> Iterator[ViewData]:
-    """Read a scene's views, one after the other."""
-    for number in range(len(record.views)):
-        yield source.view(record, number)
-
-
 def survey(
     source: DatasetSource, record: SceneRecord, frame: Frame, conditions: Sequence[LightingCondition]
 ) -> tuple[tuple[Lighting, ...], Geometry]:
@@ -141,13 +134,13 @@ def survey(
     metered: list[list[ViewMetering]] = [[] for _ in conditions]
     buffers: dict[str, list[NDArray[np.generic]]] = {"z": [], "id": [], "normal": [], "mask": []}
     farthest = 0.0
-    for view in views(source, record):
+    for view in source.views(record):
         geometry = view.geometry
         seen = geometry.z_depth > 0
         farthest = max(farthest, float(geometry.z_depth.max()))
         for condition, metering in zip(conditions, metered, strict=True):
             metering.append(meter_view(compose.target(view, condition), seen))
-        covered = [frame.shrink(share_to_byte(view.coverage[name])) for name in record.scene.insertable]
+        covered = [frame.shrink(to_byte(view.coverage[name])) for name in record.scene.insertable]
         buffers["z"].append(frame.pick(geometry.z_depth))
         buffers["id"].append(frame.pick(geometry.instance_id))
         buffers["normal"].append(frame.pick(geometry.normal_world))
@@ -162,17 +155,13 @@ def survey(
 def _geometry(
     record: SceneRecord, frame: Frame, buffers: dict[str, list[NDArray[np.generic]]], farthest: float
 ) -> Geometry:
-    rendered = [
-        Camera(width=v.width, height=v.height, fx=v.K[0][0], fy=v.K[1][1], cx=v.K[0][2], cy=v.K[1][2], c2w=v.c2w)
-        for v in record.views
-    ]
     z_depths = np.stack(buffers["z"]).astype(np.float32)
     nothing = z_depths <= 0
     # Cut off, not rounded, as published.
     depths = np.clip(z_depths / np.float32(max(farthest, 1e-9)) * 255.0, 0, 255)
     return Geometry(
-        cameras=tuple(frame.camera(camera) for camera in rendered),
-        picked=tuple(frame.picked_camera(camera) for camera in rendered),
+        cameras=tuple(frame.camera(camera) for camera in record.scene.cameras),
+        picked=tuple(frame.picked_camera(camera) for camera in record.scene.cameras),
         z_depths=z_depths,
         instance_ids=np.stack(buffers["id"]).astype(np.uint16),
         normals=np.stack(buffers["normal"]).astype(np.float32),

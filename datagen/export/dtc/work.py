@@ -1,4 +1,4 @@
-"""One scene's way into the DTC-MultiLight layouts: views are read twice, to meter the lightings and to write them.
+"""One scene in the DTC-MultiLight layouts: views are read twice, to meter the lightings and to write them.
 
 Of a view only what is being written is held in memory. The 3D maps take their colours from the very pictures that
 the 2D layout stores.
@@ -9,9 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from multilight.datagen.export.dtc import maps2d as dtc2d
-from multilight.datagen.export.dtc import maps3d as dtc3d
-from multilight.datagen.export.dtc.scene import Frame, Geometry, Lighting, survey, views
+from multilight.datagen.export.dtc import maps2d, maps3d
+from multilight.datagen.export.dtc.scene import Frame, Geometry, Lighting, survey
 from multilight.datagen.storage.copies import files_of, whole_folder
 from multilight.datagen.storage.manifest import FileEntry
 from multilight.datagen.storage.records import SceneRecord
@@ -99,7 +98,7 @@ def choose(record: SceneRecord, conditions: Sequence[LightingCondition], exposur
 
 def _gaussians(scene: _Scene, side: int) -> SceneGaussians:
     spec = scene.record.scene
-    return dtc3d.make_gaussians(scene.geometry, [spec.instance_id(name) for name in spec.insertable], side)
+    return maps3d.make_gaussians(scene.geometry, [spec.instance_id(name) for name in spec.insertable], side)
 
 
 def _training(
@@ -107,10 +106,10 @@ def _training(
 ) -> None:
     objects = scene.record.scene.insertable
     folders = [lighting.folder(step) for lighting in scene.lightings for step in range(exposures)]
-    colors = dtc3d.ColorMaps(gaussians) if gaussians else None
+    colors = maps3d.ColorMaps(gaussians) if gaussians else None
     if flat:
-        dtc2d.write_training_geometry(flat, scene.name, folders, scene.geometry)
-    for number, view in enumerate(views(scene.source, scene.record)):
+        maps2d.write_training_geometry(flat, scene.name, folders, scene.geometry)
+    for number, view in enumerate(scene.source.views(scene.record)):
         for lighting in scene.lightings:
             lit = lighting.condition
             radiances = [compose.target(view, lit), *(compose.background(view, name, lit) for name in objects)]
@@ -118,13 +117,13 @@ def _training(
                 folder = lighting.folder(step)
                 image, *backgrounds = (scene.picture(radiance, lighting, step) for radiance in radiances)
                 if flat:
-                    dtc2d.write_training_pictures(flat / folder, number, image, backgrounds)
+                    maps2d.write_training_pictures(flat / folder, number, image, backgrounds)
                 if colors:
                     colors.fill(f"{folder}/img", number, image)
                     for j, background in enumerate(backgrounds):
                         colors.fill(f"{folder}/bg{j}", number, background)
     if maps and gaussians and colors:
-        dtc3d.write_training_maps(maps, scene.name, folders, gaussians=gaussians, maps=colors, objects=len(objects))
+        maps3d.write_training_maps(maps, scene.name, folders, gaussians=gaussians, maps=colors, objects=len(objects))
 
 
 def _evaluation(
@@ -132,20 +131,20 @@ def _evaluation(
 ) -> None:
     name = scene.record.scene.insertable[choice.object]
     base, insert = scene.lightings
-    colors = dtc3d.ColorMaps(gaussians) if gaussians else None
-    for number, view in enumerate(views(scene.source, scene.record)):
+    colors = maps3d.ColorMaps(gaussians) if gaussians else None
+    for number, view in enumerate(scene.source.views(scene.record)):
         target = scene.picture(compose.target(view, base.condition), base, choice.base_step)
         background = scene.picture(compose.background(view, name, base.condition), base, choice.base_step)
         inserted = scene.picture(compose.target(view, insert.condition), insert, choice.insert_step)
-        composite = dtc2d.paste(inserted, background, scene.geometry.masks[number, choice.object])
+        composite = maps2d.paste(inserted, background, scene.geometry.masks[number, choice.object])
         if flat:
-            dtc2d.write_evaluation_pictures(
+            maps2d.write_evaluation_pictures(
                 flat, number, scene.geometry, composite=composite, background=background, target=target
             )
         if colors:
             colors.fill("composite", number, composite)
             colors.fill("gt", number, target)
     if flat:
-        dtc2d.write_evaluation_transforms(flat, scene.name, scene.geometry)
+        maps2d.write_evaluation_transforms(flat, scene.name, scene.geometry)
     if maps and gaussians and colors:
-        dtc3d.write_evaluation_maps(maps, gaussians, colors)
+        maps3d.write_evaluation_maps(maps, gaussians, colors)

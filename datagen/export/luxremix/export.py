@@ -6,25 +6,25 @@ every light but the environment has a layer. The HDR files hold radiance as rend
 mix = background + the sum over lights of (power * color of the mix / power * color of pass 0000) * layer.
 """
 
-import json
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import OpenEXR
 from numpy.typing import NDArray
 
-from multilight.datagen.export.images import jpeg, png, share_to_byte
+from multilight.datagen.export.files import write_json
+from multilight.datagen.export.images import jpeg, png, to_byte
 from multilight.datagen.export.luxremix.meta import Passes, draw_passes, metadata
 from multilight.datagen.export.tars import TarShards
-from multilight.datagen.storage.copies import Copy, files_of, making, whole_folder
+from multilight.datagen.storage.copies import Copy, Report, making
 from multilight.datagen.storage.manifest import ScenePart, scene_part
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.source import DatasetSource
-from multilight.datagen.storage.store import ViewData, in_half
+from multilight.datagen.storage.store import ViewData, in_half, write_exr
+from multilight.datagen.storage.variants import ALL
 from multilight.lights.display.tonemap import to_display
 from multilight.lights.relight import mix
 from multilight.lights.spec import EmissiveLight
@@ -34,7 +34,7 @@ from multilight.scenes.colour import srgb_encode
 
 SCENES_A_TAR = 10
 SHINES = {False: 0.5, True: 0.05}
-"""Share of a glowing surface's radiance above which a pixel counts as its source; less where a picture dims it."""
+"""Fraction of a glowing surface's radiance above which a pixel counts as its source; less where a picture dims it."""
 
 Files = dict[str, bytes]
 
@@ -48,9 +48,7 @@ class LuxremixOutcome:
     unlit: list[int] = field(default_factory=list)
 
 
-def export_luxremix(
-    source: DatasetSource, out: Path, *, tar: bool, report: Callable[[float, float], None]
-) -> LuxremixOutcome:
+def export_luxremix(source: DatasetSource, out: Path, *, tar: bool, report: Report) -> LuxremixOutcome:
     """Write every scene as a folder `000123`, kept where it is there, or all into new tars of ten scenes."""
     with making(out, "luxremix", source, {"tar": tar}) as copy:
         if tar:
@@ -59,9 +57,8 @@ def export_luxremix(
         def write(record: SceneRecord, passes: Passes, part: ScenePart) -> None:
             name = f"{record.index:06d}"
             if not copy.keeps(name, part):
-                with whole_folder(out, name) as partial:
-                    write_scene(source, record, passes, partial)
-                copy.add(name, part, files_of(out, name))
+                with copy.filling_part(name, part) as folder:
+                    write_scene(source, record, passes, folder)
 
         outcome = _each(source, write, report)
         copy.finish()
@@ -71,7 +68,7 @@ def export_luxremix(
 def _each(
     source: DatasetSource,
     write: Callable[[SceneRecord, Passes, ScenePart], None],
-    report: Callable[[float, float], None],
+    report: Report,
 ) -> LuxremixOutcome:
     """Have every scene with layers written, and count."""
     outcome = LuxremixOutcome()
@@ -88,7 +85,7 @@ def _each(
     return outcome
 
 
-def _write_tars(source: DatasetSource, copy: Copy, report: Callable[[float, float], None]) -> LuxremixOutcome:
+def _write_tars(source: DatasetSource, copy: Copy, report: Report) -> LuxremixOutcome:
     wanted = {f"{r.index:06d}": scene_part(source, r.index) for r in source.scenes() if draw_passes(r).lights}
     if copy.holds(wanted):
         return _each(source, lambda record, passes, part: None, report)
@@ -120,29 +117,28 @@ def _packed(source: DatasetSource, record: SceneRecord, passes: Passes) -> Files
 def write_scene(source: DatasetSource, record: SceneRecord, passes: Passes, folder: Path) -> None:
     """Write all files of a scene; views are numbered from 0001."""
     near_far = []
-    for number in range(len(record.views)):
-        view = source.view(record, number)
+    for number, view in enumerate(source.views(record), 1):
         seen = view.geometry.z_depth[view.geometry.z_depth > 0]
         near_far.append((float(seen.min(initial=np.inf)), float(seen.max(initial=0.0))) if seen.size else (0.0, 0.0))
-        _write_light(folder, number + 1, view, passes)
-        _write_geometry(folder, number + 1, view, record, passes)
+        _write_light(folder, number, view, passes)
+        _write_geometry(folder, number, view, record, passes)
     for name, content in metadata(record, passes, near_far).items():
-        (folder / f"{name:04d}.meta.json").write_text(json.dumps(content, indent=1) + "\n")
+        write_json(folder / f"{name:04d}.meta.json", content)
 
 
 def _write_light(folder: Path, number: int, view: ViewData, passes: Passes) -> None:
     """Write the mixes (passes 0 to 3), the environment (1000) and each light alone (1001 on)."""
-    layers, ev = view.variants["all"], passes.exposure_ev
+    layers, ev = view.variants[ALL], passes.exposure_ev
     for name, condition in enumerate(passes.mixes):
         picture = mix(layers, view.lights, condition)
-        _write_exr(folder / f"{name:04d}.{number:04d}.rgb_mix.exr", _rgba(picture))
+        write_exr(folder / f"{name:04d}.{number:04d}.rgb_mix.exr", _rgba(picture))
         (folder / f"{name:04d}.{number:04d}.rgb_ldr_mix.png").write_bytes(png(to_display(picture, ev)))
     background = mix(layers, view.lights, passes.background)
-    _write_exr(folder / f"1000.{number:04d}.rgb_bg.exr", _rgba(background))
+    write_exr(folder / f"1000.{number:04d}.rgb_bg.exr", _rgba(background))
     (folder / f"1000.{number:04d}.rgb_ldr_bg.png").write_bytes(png(to_display(background, ev)))
     for name, light in enumerate(passes.lights, 1001):
         layer = layers[view.lights.index(light.name)]
-        _write_exr(
+        write_exr(
             folder / f"{name}.{number:04d}.rgb_olat.exr", dict(zip("RGB", np.moveaxis(layer, -1, 0), strict=True))
         )
         (folder / f"{name}.{number:04d}.rgb_ldr_olat.png").write_bytes(png(to_display(layer, ev)))
@@ -152,17 +148,17 @@ def _write_geometry(folder: Path, number: int, view: ViewData, record: SceneReco
     buffers = view.geometry
     stem = f"0000.{number:04d}"
     distance = ray_distance_from_z_depth(record.scene.cameras[number - 1], buffers.z_depth)
-    _write_exr(folder / f"{stem}.depth.exr", {"Y": distance.astype(np.float32)})
+    write_exr(folder / f"{stem}.depth.exr", {"Y": distance.astype(np.float32)})
     fixtures, sources = light_masks(view, record, passes)
     pictures = {
-        "normal": share_to_byte(buffers.normal_world * 0.5 + 0.5),
-        "window": share_to_byte(buffers.environment),
+        "normal": to_byte(buffers.normal_world * 0.5 + 0.5),
+        "window": to_byte(buffers.environment),
         "lgt_obj": fixtures,
         "lgt_src": sources,
     }
     for kind, pixels in pictures.items():
         (folder / f"{stem}.{kind}.png").write_bytes(png(pixels))
-    (folder / f"{stem}.diffcol.jpg").write_bytes(jpeg(share_to_byte(srgb_encode(buffers.albedo)), quality=98))
+    (folder / f"{stem}.diffcol.jpg").write_bytes(jpeg(to_byte(srgb_encode(buffers.albedo)), quality=98))
 
 
 def light_masks(view: ViewData, record: SceneRecord, passes: Passes) -> tuple[UInt8, UInt8]:
@@ -172,7 +168,7 @@ def light_masks(view: ViewData, record: SceneRecord, passes: Passes) -> tuple[UI
     for light in passes.lights:
         if isinstance(light, EmissiveLight):
             body = ids == record.scene.instance_id(light.body)
-            layer = view.variants["all"][view.lights.index(light.name)]
+            layer = view.variants[ALL][view.lights.index(light.name)]
             limit = SHINES[light.texture is not None] * max(light.radiance)
             fixtures[body] = passes.colours[light.name]
             sources[body & (layer.max(axis=-1) > limit)] = passes.colours[light.name]
@@ -182,8 +178,3 @@ def light_masks(view: ViewData, record: SceneRecord, passes: Passes) -> tuple[UI
 def _rgba(picture: Float32) -> dict[str, NDArray[np.floating]]:
     planes = np.moveaxis(in_half(picture), -1, 0)
     return dict(zip("RGB", planes, strict=True)) | {"A": np.ones_like(planes[0])}
-
-
-def _write_exr(path: Path, channels: Mapping[str, NDArray[np.floating]]) -> None:
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    OpenEXR.File(header, {name: np.ascontiguousarray(plane) for name, plane in channels.items()}).write(str(path))

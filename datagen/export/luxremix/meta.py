@@ -18,18 +18,17 @@ from multilight.lights.spec import (
     Light,
     LightingCondition,
     PointLight,
+    Quantity,
     SpotLight,
     SunLight,
 )
 from multilight.scenes.arrays import Float64
-from multilight.scenes.frozen import Rgb
 from multilight.scenes.spec import Camera
 from multilight.scenes.streams import Streams
 
 MIXES, BACKGROUND = 4, 1000
 SUN_DISTANCE = 1000.0  # metres at which a sun is said to stand
-ONE: Rgb = (1.0, 1.0, 1.0)
-UNITS = {"sun": "W/m2", "point": "W/sr", "spot": "W/sr", "area": "W/(m2 sr)", "emissive": "W/(m2 sr)"}
+UNITS: dict[Quantity, str] = {"irradiance": "W/m2", "intensity": "W/sr", "radiance": "W/(m2 sr)"}
 TYPES = {"ceil": "Ceiling", "pendant": "Ceiling", "floor": "Floor", "lamp": "Desk", "candle": "Desk"}
 """LuxRemix' words for what glows, by what its category begins with or holds; first match."""
 
@@ -51,18 +50,19 @@ class Passes:
 def draw_passes(record: SceneRecord) -> Passes:
     """Draw three mixes beside the reference, in which all but the environment changes."""
     lights = tuple(light for light in record.rig.lights if light.kind != "environment")
-    environment = {light.name: ONE for light in record.rig.lights if light.kind == "environment"}
+    background = LightingCondition.unchanged(
+        (light.name for light in record.rig.lights if light.kind == "environment"), "background"
+    )
     rng = Streams(record.seed, record.index, record.attempt)("export/luxremix")
-    mixes = [LightingCondition(name="mix_0", gains=dict.fromkeys(record.rig.names, ONE))]
+    mixes = [LightingCondition.unchanged(record.rig.names, "mix_0")]
     for number in range(1, MIXES):
         drawn = random_condition(rng, record.rig, f"mix_{number}")
-        mixes.append(LightingCondition(name=drawn.name, gains=drawn.gains | environment))
+        mixes.append(LightingCondition(name=drawn.name, gains=drawn.gains | background.gains))
     hues = [colorsys.hsv_to_rgb(i / max(len(lights), 1), 1.0, 1.0) for i in range(len(lights))]
     colours = {
         light.name: (round(255 * r), round(255 * g), round(255 * b))
         for light, (r, g, b) in zip(lights, hues, strict=True)
     }
-    background = LightingCondition(name="background", gains=environment)
     return Passes(tuple(mixes), background, lights, colours, record.conditions[0].exposure_ev)
 
 
@@ -91,12 +91,12 @@ def _lighting(
     known = condition.model_copy(update={"gains": {n: g for n, g in condition.gains.items() if n in names}})
     found = []
     for light, gain in zip(passes.lights, gain_matrix(names, known), strict=True):
-        quantity = np.array(_quantity(light)) * gain
+        quantity = np.array(light.amount) * gain
         power = float(quantity.max())
         found.append({
             "id": light.name,
             "power": power,
-            "unit": UNITS[light.kind],
+            "unit": UNITS[light.quantity],
             "color": [float(c) for c in quantity / power] if power > 0 else [1.0, 1.0, 1.0],
             "type": _type(record, light),
             "colorful": light.gel is not None,
@@ -107,25 +107,13 @@ def _lighting(
     return found
 
 
-def _quantity(light: Light) -> Rgb:
-    match light:
-        case SunLight():
-            return light.irradiance
-        case PointLight() | SpotLight():
-            return light.intensity
-        case AreaLight() | EmissiveLight() | EnvironmentLight():
-            return light.radiance
-
-
 def _position(record: SceneRecord, light: Light) -> Float64:
     match light:
         case SunLight():
-            way = -np.array(light.direction)
-            return np.asarray(SUN_DISTANCE * way / np.linalg.norm(way))
-        case PointLight() | SpotLight():
+            towards = -np.array(light.direction)
+            return np.asarray(SUN_DISTANCE * towards / np.linalg.norm(towards))
+        case PointLight() | SpotLight() | AreaLight():
             return np.array(light.position)
-        case AreaLight():
-            return np.array(light.world_from_light)[:3, 3]
         case EmissiveLight():
             return np.array(record.scene.body(light.body).world_from_body)[:3, 3]
         case EnvironmentLight():
@@ -145,7 +133,7 @@ def _centre(record: SceneRecord) -> list[float]:
 
 
 def _pose(camera: Camera, near_far: tuple[float, float]) -> dict[str, Any]:
-    """Say where a camera stands and how it is turned (OpenGL axes to world, w x y z); `fov` [degrees] is horizontal."""
+    """Say where a camera stands, its rotation (OpenGL axes to world, w x y z), and `fov` [degrees], horizontal."""
     x, y, z, w = Rotation.from_matrix(camera.pose()[:3, :3]).as_quat()
     fov = 2.0 * np.degrees(np.arctan(camera.width / (2.0 * camera.fx)))
     return {

@@ -1,7 +1,7 @@
 """WebDataset shards: a sample a (scene, view, object, pair of lightings), with a dataset card beside them."""
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from multilight.datagen.errors import UserError
-from multilight.datagen.export.images import depth_mm, png, share_to_byte
+from multilight.datagen.export.images import depth_mm, png, to_byte
 from multilight.datagen.export.tars import TarShards
 from multilight.datagen.export.webdataset.card import Shards, write_card
-from multilight.datagen.storage.copies import making
+from multilight.datagen.storage.copies import Report, making
 from multilight.datagen.storage.manifest import ScenePart, scene_part
 from multilight.datagen.storage.records import AssetCredit, SceneRecord
 from multilight.datagen.storage.source import DatasetSource
@@ -41,9 +41,7 @@ class ShardOptions:
     threads: int
 
 
-def export_webdataset(
-    source: DatasetSource, out: Path, options: ShardOptions, report: Callable[[float, float], None]
-) -> Shards | None:
+def export_webdataset(source: DatasetSource, out: Path, options: ShardOptions, report: Report) -> Shards | None:
     """Write `<split>-00000.tar`, ... and README.md into a new folder; None where they are there, undamaged.
 
     Raises `UserError` where `out` holds something else.
@@ -62,7 +60,7 @@ def _files(shards: Shards) -> list[str]:
 
 
 def _fill(
-    source: DatasetSource, folder: Path, title: str, options: ShardOptions, report: Callable[[float, float], None]
+    source: DatasetSource, folder: Path, title: str, options: ShardOptions, report: Report
 ) -> tuple[Shards, dict[str, ScenePart]]:
     """Write all shards and the card; returns them, and the scenes that went in."""
     parts: dict[str, ScenePart] = {}
@@ -119,7 +117,7 @@ def _sample(record: SceneRecord, number: int, view: ViewData, name: str, pair: t
         "background.png": png(to_display(compose.background(view, name, base))),
         "composite.png": png(to_display(compose.composite(view, name, insert=insert, base=base))),
         "depth.png": png(depth_mm(view.geometry.z_depth)),
-        "mask.png": png(share_to_byte(view.coverage[name])),
+        "mask.png": png(to_byte(view.coverage[name])),
         "meta.json": json.dumps(_meta(record, number, view, name, insert, base)).encode(),
         "target.png": png(to_display(compose.target(view, base))),
     }
@@ -131,7 +129,7 @@ def _meta(
 ) -> dict[str, Any]:
     """Say where a sample comes from; the same keys and types in every sample, so that tables can be made of them."""
     stated = record.views[number]
-    rows, columns = np.nonzero(share_to_byte(view.coverage[name]))
+    rows, columns = np.nonzero(to_byte(view.coverage[name]))
     return {
         "scene": record.index,
         "view": number,

@@ -14,11 +14,11 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from multilight.datagen.cli import main
-from multilight.datagen.export.luxremix.export import _rgba, _write_exr, light_masks
+from multilight.datagen.export.luxremix.export import _rgba, light_masks
 from multilight.datagen.export.luxremix.meta import draw_passes
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.source import open_dataset
-from multilight.datagen.storage.store import ViewData
+from multilight.datagen.storage.store import ViewData, write_exr
 from multilight.lights.spec import EmissiveLight, EnvironmentLight, LightRig
 
 IMAGE = re.compile(r"^(\d{4})\.(\d{4})\.([a-z_]+)\.(exr|png|jpg)$")
@@ -179,7 +179,7 @@ def test_a_scene_of_environment_light_alone_has_no_layers(spheres_dataset: Path)
 def test_radiance_beyond_half_floats_is_not_clamped(tmp_path: Path) -> None:
     for peak, kind in ((1e4, np.float16), (1e6, np.float32)):
         picture = np.full((4, 6, 3), peak, np.float32)
-        _write_exr(tmp_path / "mix.exr", _rgba(picture))
+        write_exr(tmp_path / "mix.exr", _rgba(picture))
         channels = OpenEXR.File(str(tmp_path / "mix.exr"), separate_channels=True).channels()
         assert set(channels) == set("RGBA")
         assert channels["R"].pixels.dtype == kind

@@ -1,4 +1,4 @@
-"""How the DTC-MultiLight exports put files: pictures, and files that come up in many folders."""
+"""How exports put files: pictures, JSON, and files that come up in many folders."""
 
 import json
 import os
