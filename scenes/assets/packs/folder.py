@@ -117,8 +117,8 @@ class FolderPack(Pack):
         try:
             held(self._folder, path)
             parts = self._load(path)
-            turn = Z_UP_FROM_Y_UP if entry.up_axis == "Y" else np.eye(3)
-            parts = transformed(parts, turn * entry.metres_per_unit)
+            axes = Z_UP_FROM_Y_UP if entry.up_axis == "Y" else np.eye(3)
+            parts = transformed(parts, axes * entry.metres_per_unit)
             mesh = clean_mesh(parts)
             low, high = extent(parts)
         except OutsideError as error:
