@@ -51,7 +51,7 @@ class LimitError(MultilightError, ValueError):
 
 
 def shown(value: object) -> str:
-    """Return what `repr` says of a value, the middle of what is long left out."""
+    """Return what `repr` says of a value, the inner part of what is long left out."""
     return _SHORT.repr(value)
 
 

@@ -17,11 +17,11 @@ import numpy as np
 from PIL import Image
 from pydantic import TypeAdapter
 
-from multilight.scenes.assets.cache import is_sound, read_kept, sources_key, write_json, write_once
+from multilight.scenes.assets.cache import is_sound, read_kept, sources_key, write_json
 from multilight.scenes.assets.formats import beside, claims, cleaning, gltf, scene_file
 from multilight.scenes.assets.formats.cleaning import RawPart, clean_mesh, extent
 from multilight.scenes.assets.formats.mtl import part_name
-from multilight.scenes.assets.formats.scene_file import FoundLight, Imported, Node, image_digest
+from multilight.scenes.assets.formats.scene_file import FoundLight, Imported, Node, keep_picture
 from multilight.scenes.assets.info import AssetError, AssetInfo
 from multilight.scenes.assets.packs.pack import Pack
 from multilight.scenes.files.inside import OutsideError, inside
@@ -133,11 +133,7 @@ class BackgroundPack(Pack):
 
     def _read(self, work: Path) -> Imported:
         def keep(image: Image.Image) -> Texture:
-            known = image.mode in ("L", "RGB", "RGBA")
-            picture = image if known else image.convert("RGBA" if "A" in image.mode else "RGB")
-            digest = image_digest(picture)
-            write_once(work / f"{digest}.png", picture.save)
-            return Texture(image=f"{PACK}/texture-{digest}")
+            return Texture(image=f"{PACK}/texture-{keep_picture(image, work)}")
 
         if self._file.suffix.lower() in (".glb", ".gltf"):
             found = gltf.read_gltf(self._file, keep)

@@ -1,4 +1,4 @@
-"""Texture packs: curated surface textures of Python packages, turned so that wood grain runs along u."""
+"""Texture packs: curated surface textures of Python packages, rotated so that wood grain runs along u."""
 
 import csv
 import io
@@ -22,7 +22,7 @@ RELIEF = {"brick": 6e-4, "concrete": 1e-4, "fabric": 1.5e-4, "metal": 1e-5, "pla
 
 @dataclass(frozen=True)
 class SurfaceTexture:
-    """One curated texture: its file in the package, metres a repeat, and whether to turn it a quarter."""
+    """One curated texture: its file in the package, metres a repeat, and whether to rotate it a quarter."""
 
     name: str
     member: str

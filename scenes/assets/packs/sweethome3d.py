@@ -243,7 +243,7 @@ def _number(value: Any) -> float | None:
 
 
 def _to_size(parts: list[RawPart], model: _Model) -> list[RawPart]:
-    """Turn a model by the catalogue's rotation, make it Z-up, and scale it to the catalogue's size."""
+    """Rotate a model as the catalogue says, make it Z-up, and scale it to the catalogue's size."""
     rotation = np.array([float(v) for v in model.properties.get("modelRotation", IDENTITY).split()]).reshape(3, 3)
     parts = transformed(parts, Z_UP_FROM_Y_UP @ rotation)
     low, high = extent(parts)
