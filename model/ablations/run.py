@@ -22,14 +22,16 @@ from multilight.datagen.storage.source import open_dataset
 from multilight.datagen.storage.store import write_text
 from multilight.model.configs.stage2d import NETWORKS, TrainingConfig, validated
 from multilight.model.configs.stage3d import SLIM3D, SceneTrainingConfig
+from multilight.model.device import chosen_device
 from multilight.model.evaluation.cases import CaseSettings, LazyGroup, dataset_groups, with_subset
 from multilight.model.evaluation.method3d import SceneMethod
 from multilight.model.evaluation.run import Evaluation, Method, evaluate
-from multilight.model.inference.harmonize import chosen_device, network_harmonizer
+from multilight.model.inference.harmonize import network_harmonizer
 from multilight.model.networks.checkpoint import checkpoint_progress, load_network, load_network3d
 from multilight.model.networks.compositing3d import Compositing3D
-from multilight.model.training.stage2d import FINISHED, train
+from multilight.model.training.stage2d import train
 from multilight.model.training.stage3d import train_scenes
+from multilight.model.training.trainer import FINISHED
 from multilight.scenes.assets.splits import Split
 from multilight.scenes.files.limits import read_json
 

@@ -19,7 +19,8 @@ from multilight.model.captures.placing import Wish, placed
 from multilight.model.captures.planes import scene_up
 from multilight.model.captures.read import read_capture
 from multilight.model.captures.video import orbit_cameras, render_gaussians, write_video
-from multilight.model.inference.harmonize import DEFAULT_WEIGHTS, chosen_device
+from multilight.model.device import chosen_device
+from multilight.model.inference.harmonize import DEFAULT_WEIGHTS
 from multilight.model.inference.pictures import write_picture
 from multilight.model.networks.checkpoint import load_network, load_network3d
 from multilight.scenes.gaussians.ply import write_gaussians

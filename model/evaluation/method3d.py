@@ -5,10 +5,11 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from multilight.model.device import chosen_device
 from multilight.model.evaluation.cases import Case, Group
 from multilight.model.gaussians.refine import refined_scene
 from multilight.model.gaussians.splat_scene import SplatScene, splat_scene
-from multilight.model.inference.harmonize import chosen_device, harmonize
+from multilight.model.inference.harmonize import harmonize
 from multilight.model.networks.checkpoint import load_network, load_network3d
 from multilight.model.networks.compositing2d import Compositing2D
 from multilight.model.networks.compositing3d import SceneNetwork, harmonize_scene
