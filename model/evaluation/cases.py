@@ -29,8 +29,8 @@ MOST_VIEWS = 4
 """Views of a scene that are shown under one lighting."""
 HARD = np.radians(3.0)
 """A light of a smaller angular diameter throws shadows with hard edges: a penumbra below a twentieth of the height."""
-KEY_SHARE = 0.5
-"""Least share of the picture's light that a small light must have for its shadows to be seen."""
+DOMINANT = 0.5
+"""Least fraction of the picture's light that a small light must give for its shadows to be seen."""
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,7 @@ def subsets_of(record: SceneRecord, name: str, shares: dict[str, float]) -> tupl
     found = [f"kind: {record.scene.kind}"]
     if any(isinstance(light, EmissiveLight) and light.body == name and share > 0 for light, share in lit):
         found.append("emissive")
-    sizes = [angular_diameter(light, place) for light, share in lit if share >= KEY_SHARE]
+    sizes = [angular_diameter(light, place) for light, share in lit if share >= DOMINANT]
     if any(size is not None and size < HARD for size in sizes):
         found.append("hard shadow")
     if any(material_class(m) == "mirror" for m in body.materials) or any(map(is_mirror, record.scene.bodies)):

@@ -8,7 +8,7 @@ them stands for a compact patch: counted row by row, what is left would be strip
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -67,20 +67,11 @@ class SceneGaussians:
         """Cells a side of the map."""
         return int(np.sqrt(len(self.cells)))
 
-    def gather(self, images: NDArray[np.generic]) -> NDArray[np.generic]:
-        """Take each Gaussian's value from the views: (V, H, W, ...) to (N, ...), same type."""
-        flat = images.reshape(len(images), -1, *images.shape[3:])
-        return np.asarray(flat[self.sources[:, 0], self.sources[:, 1]])
-
     def to_map(self, values: NDArray[np.generic]) -> NDArray[np.generic]:
         """Lay values (N, ...) out on the map: (side, side, ...), same type."""
         folded = np.empty((self.side, self.side, *values.shape[1:]), values.dtype)
         folded[self.cells[:, 0], self.cells[:, 1]] = values
         return folded
-
-    def colored(self, images: ArrayLike) -> Gaussians:
-        """Return the Gaussians with the views' colours (V, H, W, 3), as float32."""
-        return replace(self.gaussians, colors=self.gather(np.asarray(images)).astype(np.float32))
 
 
 @dataclass(frozen=True)
@@ -105,7 +96,7 @@ def gaussians_from_views(
     side: int = 256,
     normals: ArrayLike | None = None,
 ) -> SceneGaussians:
-    """Make side * side Gaussians from the depth of a scene's views; colours come from `SceneGaussians.colored`.
+    """Make side * side Gaussians from the depth of a scene's views, grey until they are given their sources' colours.
 
     z_depths (V, H, W) metres, 0 where there is nothing; instance_ids (V, H, W); `object_ids` are the instance ids
     of the insertable objects, in order; normals (V, H, W, 3) unit, world (found from the depth, unless given).

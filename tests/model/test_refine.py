@@ -43,7 +43,8 @@ def laid(group: Group, views: int = 3) -> Gaussians:
     """Gaussians on the first views' depth, in the colours of those."""
     depths = np.stack(group.z_depth[:views])
     made = gaussians_from_views(group.cameras[:views], depths, np.zeros(depths.shape, np.int64), [], side=SIDE)
-    return made.colored(pictures(group)[:views])
+    colors = pictures(group)[:views].reshape(views, -1, 3)[made.sources[:, 0], made.sources[:, 1]]
+    return replace(made.gaussians, colors=colors)
 
 
 def cloud(seed: int, count: int) -> Gaussians:

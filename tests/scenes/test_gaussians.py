@@ -1,5 +1,6 @@
 """Gaussians from depth: where they lie, how they are ordered, and that rendering them gives the views back."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -55,6 +56,14 @@ def views() -> tuple[list[Camera], np.ndarray, np.ndarray, np.ndarray, np.ndarra
 def scene(views: tuple) -> SceneGaussians:
     cameras, depths, ids, normals, _ = views
     return gaussians_from_views(cameras, depths, ids, [2], side=64, normals=normals)
+
+
+def at_sources(scene: SceneGaussians, images: np.ndarray) -> np.ndarray:
+    return images.reshape(len(images), -1, 3)[scene.sources[:, 0], scene.sources[:, 1]]
+
+
+def coloured(scene: SceneGaussians, images: np.ndarray) -> Gaussians:
+    return replace(scene.gaussians, colors=at_sources(scene, images).astype(np.float32))
 
 
 def render(gaussians: Gaussians, camera: Camera, opacity: float | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -125,14 +134,14 @@ def test_discs_lie_on_the_surface(scene: SceneGaussians, views: tuple) -> None:
     np.testing.assert_allclose(np.linalg.norm(g.quats, axis=1), 1.0, atol=1e-6)
     w, x, y, z = g.quats.astype(np.float64).T
     normal = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=-1)
-    true = scene.gather(views[3])
+    true = at_sources(scene, views[3])
     assert np.abs(np.sum(normal * true, axis=-1)).min() > 0.999
     assert (g.scales[:, 2] < 0.2 * g.scales[:, :2].min(axis=1)).all()
 
 
 def test_rendering_gives_the_views_back(scene: SceneGaussians, views: tuple) -> None:
     cameras, _, ids, _, colors = views
-    picture, left = render(scene.colored(colors), cameras[2])
+    picture, left = render(coloured(scene, colors), cameras[2])
     inside = _away_from_outlines(ids[2])
     assert (left[inside & (ids[2] > 0)] < 0.1).mean() > 0.99, "the surface has holes"
     assert (left[inside & (ids[2] == 0)] > 0.9).mean() > 0.99, "Gaussians stick out of the surface"
@@ -142,7 +151,7 @@ def test_rendering_gives_the_views_back(scene: SceneGaussians, views: tuple) -> 
 def test_rendering_an_unseen_view(scene: SceneGaussians, views: tuple) -> None:
     camera = _camera(0.9, height=1.3)
     _, ids, _, colors = _trace(camera)
-    picture, left = render(scene.colored(views[4]), camera)
+    picture, left = render(coloured(scene, views[4]), camera)
     # What no view saw is open: behind the ball, and outside of all pictures.
     closed = _away_from_outlines(ids) & (ids > 0) & (left < 0.05)
     assert closed.sum() > 0.8 * (_away_from_outlines(ids) & (ids > 0)).sum()
@@ -187,7 +196,7 @@ def test_what_cannot_be_is_refused(views: tuple) -> None:
 
 
 def test_ply_round_trip_and_layout(tmp_path: Path, scene: SceneGaussians, views: tuple) -> None:
-    gaussians = scene.colored(views[4])
+    gaussians = coloured(scene, views[4])
     path = tmp_path / "scene.ply"
     write_gaussians(path, gaussians)
     back = read_gaussians(path)
