@@ -72,7 +72,7 @@ class Background:
 
 
 def backgrounds(options: Options, backend: Backend, library: AssetLibrary) -> Iterator[Background]:
-    """Render the first view of each scene in all ways."""
+    """Render the first view of each scene with and without each object."""
     values = {"seed": options.seed, "scenes": options.scenes, "width": options.size, "height": options.size, "views": 1}
     config = load_config(None, values, options.preset)
     for index in range(options.scenes):
@@ -148,8 +148,8 @@ def _error(picture: Float32, true: Float32, where: Mask) -> float:
 
 
 def _colour_error(picture: Float32, true: Float32, where: Mask) -> float:
-    shares = [image / (image.sum(axis=-1, keepdims=True) + 0.05 * true.mean()) for image in (picture, true)]
-    return float(np.abs(shares[0] - shares[1])[where].mean())
+    chromaticities = [image / (image.sum(axis=-1, keepdims=True) + 0.05 * true.mean()) for image in (picture, true)]
+    return float(np.abs(chromaticities[0] - chromaticities[1])[where].mean())
 
 
 def _gradient_energy(picture: Float32, true: Float32, where: Mask) -> float:
@@ -235,8 +235,8 @@ def found_by_network(layers: list[Background], kind: str, steps: int) -> tuple[f
 
 
 def _logarithm(layer: Float32) -> torch.Tensor:
-    middle = np.exp(np.log(layer.mean(axis=-1) + 1e-9).mean())
-    return torch.from_numpy(np.log(layer / middle + 0.02)).permute(2, 0, 1)
+    mean = np.exp(np.log(layer.mean(axis=-1) + 1e-9).mean())
+    return torch.from_numpy(np.log(layer / mean + 0.02)).permute(2, 0, 1)
 
 
 def _area(scores: Float32, truth: Mask) -> float:

@@ -1,6 +1,5 @@
-"""Text that comes from data, made safe for where it is shown: terminal, Markdown, HTML."""
+"""Text that comes from data, made safe for where it is shown: terminal, Markdown."""
 
-import html
 import re
 
 from rich.markup import escape
@@ -23,8 +22,3 @@ def terminal(text: str) -> str:
 def markdown(text: str) -> str:
     """Return the text as it stands in Markdown: one line, nothing in it marks anything up, tables included."""
     return _MARKUP.sub(r"\\\g<0>", plain(text))
-
-
-def page(text: str) -> str:
-    """Return the text as it stands in HTML, between tags or in an attribute's quotes."""
-    return html.escape(plain(text))

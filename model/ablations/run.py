@@ -21,15 +21,17 @@ from multilight.datagen.storage.store import write_text
 from multilight.model.ablations.settings import AblationSettings
 from multilight.model.configs.stage2d import NETWORKS, TrainingConfig
 from multilight.model.configs.stage3d import SLIM3D, SceneTrainingConfig
+from multilight.model.device import chosen_device
 from multilight.model.evaluation.cases import LazyGroup, dataset_groups, with_subset
 from multilight.model.evaluation.method3d import SceneMethod
 from multilight.model.evaluation.run import Evaluation, Method, evaluate
 from multilight.model.evaluation.settings import CaseSettings
-from multilight.model.inference.harmonize import chosen_device, network_harmonizer
+from multilight.model.inference.harmonize import network_harmonizer
 from multilight.model.networks.checkpoint import checkpoint_progress, load_network, load_network3d
 from multilight.model.networks.compositing3d import Compositing3D
-from multilight.model.training.stage2d import FINISHED, train
+from multilight.model.training.stage2d import train
 from multilight.model.training.stage3d import train_scenes
+from multilight.model.training.trainer import FINISHED
 from multilight.scenes.files.limits import read_json
 from multilight.scenes.names import slug
 
@@ -143,7 +145,7 @@ def map_orders() -> dict[str, Values]:
 def fewer_scenes(scenes: Sequence[int], seed: int) -> dict[str, Values]:
     """Return trainings on 1/8, 1/4, 1/2 and all of the scenes; `seed` draws them, and each holds the smaller ones."""
     order = np.random.default_rng(seed).permutation(scenes).tolist()
-    counts = [max(1, round(len(order) * share)) for share in (1 / 8, 1 / 4, 1 / 2, 1)]
+    counts = [max(1, round(len(order) * fraction)) for fraction in (1 / 8, 1 / 4, 1 / 2, 1)]
     return {f"{count} of {len(order)} scenes": only(order[:count]) for count in counts}
 
 

@@ -7,18 +7,18 @@ from pathlib import Path
 import numpy as np
 
 from multilight.datagen.errors import UserError
+from multilight.model.captures.depth_maps import read_depth_map
 from multilight.model.captures.lenses import Lens, undistorted
-from multilight.model.inference.pictures import read_depth, resized
+from multilight.model.inference.pictures import opened, resized
 from multilight.scenes.arrays import Float32, Float64, Int64
 from multilight.scenes.cameras.pinhole import reprojection_error
-from multilight.scenes.files.limits import open_picture
 from multilight.scenes.poses import matrix4
 from multilight.scenes.spec import Camera
 
 ALIKE = 0.02
 """Relative difference of proportions up to which pictures are brought to one size."""
 AGREEING = 0.6
-"""Share of a view's depth that the next view must agree with, within `TOLERANCE`."""
+"""Fraction of a view's depth that the next view must agree with, within `TOLERANCE`."""
 TOLERANCE = 0.1
 
 
@@ -100,9 +100,9 @@ def check_alignment(capture: Capture) -> None:
     if capture.z_depths is None or len(capture.cameras) < 2:
         return
     for number, camera in enumerate(capture.cameras):
-        ways = np.linalg.norm(capture.eyes - capture.eyes[number], axis=1)
-        ways[number] = np.inf
-        other = int(np.argmin(ways))
+        distances = np.linalg.norm(capture.eyes - capture.eyes[number], axis=1)
+        distances[number] = np.inf
+        other = int(np.argmin(distances))
         found = reprojection_error(
             capture.z_depths[number], camera, capture.z_depths[other], capture.cameras[other], tolerance=TOLERANCE
         )
@@ -113,17 +113,9 @@ def check_alignment(capture: Capture) -> None:
             )
 
 
-def read_image(path: Path) -> Float32:
-    """Read a picture as its pixels lie in the file, which is what cameras are given for: (H, W, 3) in [0, 1]."""
-    try:
-        with open_picture(path) as image:
-            return np.asarray(image.convert("RGB"), np.float32) / 255.0
-    except (OSError, SyntaxError, ValueError) as error:
-        raise UserError(f"{path} is not a picture that can be read: {error}") from None
-
-
 def _read(shot: Shot) -> tuple[Camera, Float32, Float32 | None]:
-    image = read_image(shot.image)
+    # As its pixels lie in the file, which is what cameras are given for.
+    image = np.asarray(opened(shot.image).convert("RGB"), np.float32) / 255.0
     height, width = image.shape[:2]
     if abs(width * shot.lens.height / (height * shot.lens.width) - 1.0) > ALIKE:
         raise UserError(
@@ -136,19 +128,11 @@ def _read(shot: Shot) -> tuple[Camera, Float32, Float32 | None]:
     if shot.depth is not None:
         if not shot.depth.is_file():
             raise UserError(f"depth {shot.depth} does not exist")
-        depth = _read_depth(shot.depth) * np.float32(shot.depth_unit)
+        depth = read_depth_map(shot.depth) * np.float32(shot.depth_unit)
         if abs(depth.shape[1] * height / (depth.shape[0] * width) - 1.0) > ALIKE:
             raise UserError(f"depth {shot.depth} is {depth.shape[1]} x {depth.shape[0]} pixels, not as its picture")
         depth = nearest(depth, (height, width))
     return undistorted(shot.lens.scaled(width, height), shot.c2w, image, depth)
-
-
-def _read_depth(path: Path) -> Float32:
-    if path.suffix != ".bin":
-        return read_depth(path)
-    from multilight.model.captures.colmap import read_dense  # pycolmap is an extra
-
-    return read_dense(path)
 
 
 def _fitted(

@@ -9,7 +9,6 @@ import pycolmap
 from multilight.datagen.errors import UserError
 from multilight.model.captures.capture import Capture, Shot, load_shots
 from multilight.model.captures.lenses import Lens
-from multilight.scenes.arrays import Float32
 from multilight.scenes.cameras.pinhole import opencv_from_opengl
 from multilight.scenes.files.inside import OutsideError, inside
 
@@ -157,14 +156,3 @@ def _depth(folder: Path, name: str) -> tuple[Path | None, float]:
         if file.is_file():
             return file, unit
     return None, 1.0
-
-
-def read_dense(path: Path) -> Float32:
-    """Read one of COLMAP's depth maps: (H, W) float32 in the model's unit, 0 where unknown."""
-    depth = pycolmap.DepthMap()
-    try:
-        depth.read(path)
-    except (ValueError, RuntimeError, OSError) as error:
-        raise UserError(f"depth map {path} cannot be read: {str(error).splitlines()[0]}") from None
-    values = np.asarray(depth.to_array(), np.float32)
-    return np.where(np.isfinite(values) & (values > 0), values, np.float32(0.0))

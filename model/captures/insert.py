@@ -4,20 +4,18 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from multilight.datagen.errors import UserError
 from multilight.model.captures.capture import Capture
+from multilight.model.captures.confidence import depth_confidence, repaired
 from multilight.model.captures.objects import ObjectView, PlacedObject
 from multilight.model.captures.planes import scene_centre
-from multilight.model.captures.trust import repaired, trust
 from multilight.model.configs.stage3d import SLIM3D
 from multilight.model.gaussians.splat_scene import splat_scene
 from multilight.model.inference.depth import depth_from_metres
 from multilight.model.inference.harmonize import harmonize
 from multilight.model.networks.compositing2d import Compositing2D
-from multilight.model.networks.compositing3d import Compositing3D, SceneNetwork, harmonize_scene
+from multilight.model.networks.compositing3d import Compositing3D, SceneNetwork, harmonize_views
 from multilight.scenes.arrays import Float32
 from multilight.scenes.gaussians.from_views import Gaussians
 
@@ -74,30 +72,26 @@ def harmonize_capture(
     Without a network of the 3D stage, what the views say of a Gaussian is averaged: that is consistent as well.
     Where no view was changed, the capture's own pixels stay. `report` is told (views done, views).
     """
-    single = []
+    alone = []
     for number, (composite, background) in enumerate(zip(inserted.composites, capture.images, strict=True)):
         mask = inserted.coverage[number]
         seen = mask.max() > 0
         depth = depth_from_metres(inserted.z_depths[number])
-        single.append(harmonize(network, composite, background, depth, mask=mask) if seen else composite)
+        alone.append(harmonize(network, composite, background, depth, mask=mask) if seen else composite)
         report(number + 1, len(capture.images))
+    single = np.stack(alone)
     device = next(network.parameters()).device
-    stage3d = network3d or Compositing3D(SLIM3D).eval()
+    stage3d = (network3d or Compositing3D(SLIM3D).eval()).to(device)
     try:
         scene = splat_scene(capture.cameras, inserted.z_depths, side=side, order=stage3d.config.order).to(device)
     except ValueError as error:
         raise UserError(f"{capture.path}: {error}; --side must be a power of two, and the views need depth") from None
-    harmonized, composites = _tensor(np.stack(single), device), _tensor(inserted.composites, device)
-    with torch.inference_mode():
-        backgrounds = _tensor(capture.images, device)
-        colors, views = harmonize_scene(stage3d.to(device), scene, composites, harmonized, backgrounds)
-    found = scene.gaussians.gaussians
-    believed = trust(scene, capture.cameras, inserted.z_depths)
-    consistent = views.permute(0, 2, 3, 1).cpu().numpy()
+    colors, views = harmonize_views(stage3d, scene, inserted.composites, single, capture.images)
+    confidence = depth_confidence(scene, capture.cameras, inserted.z_depths)
     return Harmonized(
-        single=np.stack(single),
-        views=repaired(np.stack(single), consistent, believed, inserted.coverage),
-        gaussians=replace(found, colors=colors.cpu().numpy().astype(np.float32)),
+        single=single,
+        views=repaired(single, views, confidence, inserted.coverage),
+        gaussians=replace(scene.gaussians.gaussians, colors=colors),
     )
 
 
@@ -113,7 +107,3 @@ def _unseen(capture: Capture, placed: PlacedObject, views: list[ObjectView]) -> 
         f"the object at {place} would be seen in {sum(v.outlined > 0 for v in views)} pictures, but the scene's depth "
         f"hides it in all: is it inside or behind something? The cameras of {capture.path} look at about {centre}"
     )
-
-
-def _tensor(images: Float32, device: torch.device) -> Tensor:
-    return torch.from_numpy(images).permute(0, 3, 1, 2).to(device)

@@ -42,9 +42,7 @@ class Lens:
     def scaled(self, width: int, height: int) -> "Lens":
         """Return the lens of the same picture at another size."""
         x, y = width / self.width, height / self.height
-        factors = [x] * self._focals + [x, y]
-        if self._focals == 2:
-            factors[1] = y
+        factors = (x, y, x, y) if self._focals == 2 else (x, x, y)
         params = tuple(p * f for p, f in zip(self.params, factors, strict=False))
         return replace(self, width=width, height=height, params=params + self.distortion)
 

@@ -19,7 +19,8 @@ from multilight.model.captures.planes import scene_up
 from multilight.model.captures.read import read_capture
 from multilight.model.captures.request import Insertion
 from multilight.model.captures.video import orbit_cameras, render_gaussians, write_video
-from multilight.model.inference.harmonize import DEFAULT_WEIGHTS, chosen_device
+from multilight.model.device import chosen_device
+from multilight.model.inference.harmonize import DEFAULT_WEIGHTS
 from multilight.model.inference.pictures import write_picture
 from multilight.model.networks.checkpoint import load_network, load_network3d
 from multilight.scenes.gaussians.ply import write_gaussians
@@ -59,8 +60,8 @@ def insert_into_files(wanted: Insertion) -> None:
         placement = {"world_from_asset": pose.tolist(), "asset": wanted.asset, "views": list(capture.names)}
         write_text(out / "placement.json", json.dumps(placement, indent=1) + "\n")
         if frames:
-            middle = pose[:3, :3] @ [0.0, 0.0, asset.size[2] / 2] + pose[:3, 3]
-            orbit = orbit_cameras(capture.cameras, np.asarray(middle), scene_up(capture), frames)
+            centre = pose[:3, :3] @ [0.0, 0.0, asset.size[2] / 2] + pose[:3, 3]
+            orbit = orbit_cameras(capture.cameras, np.asarray(centre), scene_up(capture), frames)
             shown = (render_gaussians(camera, result.gaussians) for camera in orbit)
             with written(out / "orbit.mp4") as work:
                 write_video(work, shown, (orbit[0].width, orbit[0].height))
@@ -74,8 +75,8 @@ def _write(out: Path, capture: Capture, inserted: Inserted, result: Harmonized) 
     ):
         for name, view in zip(capture.names, views, strict=True):
             write_picture(out / folder / Path(name).with_suffix(".png"), view)
-    for name, share in zip(capture.names, inserted.coverage, strict=True):
-        write_picture(out / "masks" / Path(name).with_suffix(".png"), np.repeat(share[..., None], 3, axis=-1))
+    for name, mask in zip(capture.names, inserted.coverage, strict=True):
+        write_picture(out / "masks" / Path(name).with_suffix(".png"), np.repeat(mask[..., None], 3, axis=-1))
     with written(out / "scene.ply") as work:
         write_gaussians(work, result.gaussians)
 

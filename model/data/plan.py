@@ -23,7 +23,7 @@ class Place:
 
 @dataclass(frozen=True)
 class Draw:
-    """One sample: a place, its views, the round in which the epoch comes by it, and the sample's own generator."""
+    """One sample: a place, its views, the stored (insert, base) conditions where lighting is, and its own generator."""
 
     place: Place
     views: tuple[int, ...]

@@ -80,11 +80,17 @@ def same_size(name: str, **pictures: Float32) -> None:
         raise UserError(f"{name}: sizes differ (height, width): {sizes}")
 
 
+def prepared_pictures(root: Path, scene: Path, other: str) -> tuple[Float32, Float32, Float32]:
+    """Read a prepared scene's composite, its `other` picture, and the mask, or where the two differ."""
+    paths = prepared_paths(root, scene, "image_path", other)
+    composite, picture = read_picture(paths["image_path"]), read_picture(paths[other])
+    same_size(scene.name, composite=composite, **{other: picture})
+    mask = read_mask(paths["mask_path"]) if "mask_path" in paths else difference_mask(composite, picture)
+    return composite, picture, mask
+
+
 def _prepared_foscom(root: Path, scene: Path, depth_model: DepthModel | None) -> Group:
-    paths = prepared_paths(root, scene, "image_path", "bg_path")
-    composite, background = read_picture(paths["image_path"]), read_picture(paths["bg_path"])
-    same_size(scene.name, composite=composite, background=background)
-    mask = read_mask(paths["mask_path"]) if "mask_path" in paths else difference_mask(composite, background)
+    composite, background, mask = prepared_pictures(root, scene, "bg_path")
     case = Case(scene.name, composite, background, depth_of(composite, depth_model), mask)
     return Group((case,), ("FOSCom",))
 

@@ -5,13 +5,14 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from multilight.model.device import chosen_device
 from multilight.model.evaluation.cases import Case, Group
 from multilight.model.gaussians.refine import refined_scene
 from multilight.model.gaussians.splat_scene import SplatScene, splat_scene
-from multilight.model.inference.harmonize import chosen_device, harmonize
+from multilight.model.inference.harmonize import harmonize
 from multilight.model.networks.checkpoint import load_network, load_network3d
 from multilight.model.networks.compositing2d import Compositing2D
-from multilight.model.networks.compositing3d import SceneNetwork, harmonize_scene
+from multilight.model.networks.compositing3d import SceneNetwork, harmonize_views
 from multilight.scenes.arrays import Float32
 
 SIDE = 256  # cells a side of the map: 65,536 Gaussians
@@ -60,15 +61,9 @@ class SceneMethod:
     def _device(self) -> torch.device:
         return next(self.stage3d.parameters()).device
 
-    @torch.inference_mode()
     def _together(self, group: Group, scene: SplatScene) -> dict[str, Float32]:
-        cases = group.cases
-        pictures = [c.composite for c in cases], [self._flat(c) for c in cases], [c.background for c in cases]
-        composites, harmonized, backgrounds = (
-            torch.from_numpy(np.stack(views)).permute(0, 3, 1, 2).to(self._device) for views in pictures
-        )
-        _, views = harmonize_scene(self.stage3d, scene, composites, harmonized, backgrounds)
-        shown = views.clamp(0.0, 1.0).permute(0, 2, 3, 1).cpu().numpy()
+        pictures = [(case.composite, self._flat(case), case.background) for case in group.cases]
+        _, shown = harmonize_views(self.stage3d, scene, *map(np.stack, zip(*pictures, strict=True)))
         return {case.name: picture for case, picture in zip(group.cases, shown, strict=True)}
 
 

@@ -1,6 +1,5 @@
 """Objects With Lighting (B. Ummenhofer et al., 2024), read where a user has it, as cases."""
 
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -9,14 +8,7 @@ import numpy as np
 from multilight.datagen.errors import UserError
 from multilight.model.evaluation.baselines import with_colours_of
 from multilight.model.evaluation.cases import Case, Group, LazyGroup
-from multilight.model.evaluation.foscom import (
-    depth_of,
-    difference_mask,
-    filled,
-    prepared_paths,
-    prepared_scenes,
-    same_size,
-)
+from multilight.model.evaluation.foscom import depth_of, filled, prepared_pictures, prepared_scenes, same_size
 from multilight.model.evaluation.run import GAMMA
 from multilight.model.inference.depth import DepthModel
 from multilight.model.inference.pictures import read_mask, read_picture
@@ -24,28 +16,15 @@ from multilight.scenes.arrays import Float32, Float64
 from multilight.scenes.files.limits import read_text
 
 
-@dataclass(frozen=True)
-class OwlCamera:
-    """A camera as the set stores it: x = K (R X + t), axes as in OpenCV (+Y down, looks along +Z), pixels."""
+def camera_centre(path: Path) -> Float64:
+    """Read where a camera stands, (3,): of a file of eight rows of three numbers, K, R, t, and width, height, channels.
 
-    K: Float64
-    R: Float64
-    t: Float64
-    width: int
-    height: int
-
-    @property
-    def centre(self) -> Float64:
-        """The pinhole in world coordinates, (3,)."""
-        return -self.R.T @ self.t
-
-
-def read_camera(path: Path) -> OwlCamera:
-    """Read a camera file: eight rows of three numbers, K, R, t, and (width, height, channels)."""
+    A point X is seen at K (R X + t).
+    """
     rows = _numbers(path)
     if rows.shape != (8, 3):
         raise UserError(f"{path} holds {rows.shape} numbers; a camera has 8 rows of 3: K, R, t, width height channels")
-    return OwlCamera(rows[:3], rows[3:6], rows[6], int(rows[7, 0]), int(rows[7, 1]))
+    return -rows[3:6].T @ rows[6]
 
 
 def read_exposure(path: Path) -> float:
@@ -59,7 +38,7 @@ def read_exposure(path: Path) -> float:
 def owl_groups(root: Path, depth_model: DepthModel | None) -> list[LazyGroup]:
     """List the set's true pictures as cases, with the exposure to be fitted.
 
-    The set has no picture of a true object in a foreign light, so the composite is made as for iHarmony4 (W. Cong et
+    The set has no picture of a true object in another light, so the composite is made as for iHarmony4 (W. Cong et
     al., 2020): the object of the true picture takes on the colours (mean and spread in CIELAB) that it has in the input
     picture seen from the nearest direction, whose environment is another, at the true picture's exposure. The light's
     direction stays. The background is the true picture with the object filled in smoothly. Scores are those of the
@@ -84,7 +63,7 @@ def _published(path: Path, depth_model: DepthModel | None) -> Group:
     mask = read_mask(path.with_name(path.name.replace("image", "mask")))
     same_size(name, truth=truth, mask=mask)
     composite, inside = np.array(truth), mask > 0.5
-    composite[inside] = with_colours_of(truth, inside, _foreign_colours(path))[inside]
+    composite[inside] = with_colours_of(truth, inside, _input_colours(path))[inside]
     case = Case(
         name,
         composite,
@@ -98,16 +77,15 @@ def _published(path: Path, depth_model: DepthModel | None) -> Group:
     return Group((case,), ("OWL",))
 
 
-def _foreign_colours(path: Path) -> Float32:
+def _input_colours(path: Path) -> Float32:
     """Return the object's pixels (N, 3) in the nearest input picture, exposed as the true picture is."""
     number, folder = path.stem[-4:], path.parent
-    camera = read_camera(folder / f"gt_camera_{number}.txt")
-    inputs = {file: read_camera(file) for file in sorted((folder / "inputs").glob("camera_*.txt"))}
+    eye = camera_centre(folder / f"gt_camera_{number}.txt")
+    inputs = {file: camera_centre(file) for file in sorted((folder / "inputs").glob("camera_*.txt"))}
     if not inputs:
         raise UserError(f"{folder / 'inputs'} holds no camera_*.txt")
-    box = _numbers(folder / "inputs" / "object_bounding_box.txt").reshape(3, 2)
-    middle = box.mean(axis=1)
-    nearest = max(inputs, key=lambda file: _cosine(inputs[file].centre - middle, camera.centre - middle))
+    centre = _numbers(folder / "inputs" / "object_bounding_box.txt").reshape(3, 2).mean(axis=1)
+    nearest = max(inputs, key=lambda file: _cosine(inputs[file] - centre, eye - centre))
     shown = nearest.stem.removeprefix("camera")
     picture = read_picture(nearest.with_name(f"image{shown}.png"))
     pixels = picture[read_mask(nearest.with_name(f"mask{shown}.png")) > 0.5]
@@ -116,10 +94,7 @@ def _foreign_colours(path: Path) -> Float32:
 
 
 def _prepared(root: Path, scene: Path, depth_model: DepthModel | None) -> Group:
-    paths = prepared_paths(root, scene, "image_path", "gt_path")
-    composite, truth = read_picture(paths["image_path"]), read_picture(paths["gt_path"])
-    same_size(scene.name, composite=composite, truth=truth)
-    mask = read_mask(paths["mask_path"]) if "mask_path" in paths else difference_mask(composite, truth)
+    composite, truth, mask = prepared_pictures(root, scene, "gt_path")
     case = Case(
         scene.name,
         composite,

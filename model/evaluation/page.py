@@ -1,6 +1,5 @@
 """The evaluation as Markdown, JSON, and one self-contained HTML page with pictures."""
 
-import base64
 import io
 import json
 import math
@@ -14,9 +13,9 @@ from PIL import Image
 
 from multilight.datagen.errors import full_disk_told
 from multilight.datagen.files.outputs import check_folder
+from multilight.datagen.pages.render import data_uri, render_page
 from multilight.datagen.storage.store import write_text
 from multilight.datagen.text import markdown as escaped
-from multilight.datagen.text import page
 from multilight.model.evaluation.metrics import HIGHER_IS_BETTER, METRICS, REGIONS, Scores
 from multilight.model.evaluation.run import JUDGED_BY, Evaluation, Shown
 from multilight.model.inference.pictures import to_bytes
@@ -29,25 +28,6 @@ UNITS = {
     "FLIP": "lower is better",
     "LPIPS": "lower is better",
 }
-_STYLE = """
-body { font: 15px/1.45 system-ui, sans-serif; color: #222a33; background: #f4f6f8; margin: 0 auto; max-width: 1320px;
-  padding: 24px }
-h1 { font-size: 24px; margin: 0 0 4px } h2 { font-size: 18px; margin: 34px 0 8px } p { margin: 4px 0; max-width: 80ch }
-.about { color: #5a6672; font-size: 13.5px; max-width: none }
-.tables { display: flex; flex-wrap: wrap; gap: 16px }
-table { border-collapse: collapse; background: #fff; border-radius: 8px; font-size: 13.5px;
-  box-shadow: 0 1px 2px #0002 }
-caption { text-align: left; font-weight: 600; padding: 2px 2px 6px } caption span { color: #5a6672; font-weight: 400 }
-th, td { padding: 5px 12px; text-align: right; border-bottom: 1px solid #e6eaee; white-space: nowrap }
-th { font-weight: 600; color: #45505c } th:first-child, td:first-child { text-align: left }
-tr:last-child td { border-bottom: 0 } td.best { font-weight: 700; color: #14632f }
-.case { background: #fff; border-radius: 8px; padding: 10px 12px 12px; margin: 0 0 14px; box-shadow: 0 1px 2px #0002 }
-.case h3 { font-size: 13.5px; font-weight: 600; margin: 0 0 8px } .case h3 span { color: #5a6672; font-weight: 400 }
-.row { display: grid; grid-auto-flow: column; grid-auto-columns: minmax(0, 1fr); gap: 8px }
-.worst .row { max-width: 860px }
-figure { margin: 0 } img { width: 100%; display: block; border-radius: 3px }
-figcaption { font-size: 12px; color: #45505c; margin-top: 4px; line-height: 1.3 }
-"""
 
 
 @dataclass(frozen=True)
@@ -111,7 +91,7 @@ def _cost_table(found: Evaluation) -> Table:
         own, ratio = found.inconsistency(method)
         rows[method] = (255.0 * own, ratio, found.seconds(method), found.megabytes[method])
     columns = ("views disagree by", "over the truth's", "s a frame", "MB")
-    note = "disagreement of views in grey levels of 255, in the object-and-effect region; median time, peak memory"
+    note = "disagreement of views in grey levels of 255, in the object-and-effect region; mean time, peak memory"
     return Table("Consistency and cost", note, columns, rows, (2, 2, 3, 0), (None, False, None, None))
 
 
@@ -166,32 +146,21 @@ def _numbers(pair: tuple[float, float]) -> dict[str, float] | None:
 
 
 def _page(found: Evaluation, tables: list[Table], about: Mapping[str, str]) -> str:
-    facts = " · ".join(f"{page(key)}: {page(value)}" for key, value in about.items())
-    body = [f'<h1>Evaluation</h1><p class="about">{facts}</p>']
-    body += ["<h2>How close to the truth</h2>", f'<div class="tables">{"".join(map(_html_table, tables))}</div>']
-    if found.examples:
-        body += ["<h2>Examples</h2>", *(_case(shown, found.methods) for shown in found.examples)]
-    if found.worst:
-        last = page(found.methods[-1])
-        note = f"Where {last} is furthest from the truth, by PSNR in the {JUDGED_BY} region."
-        body += [f"<h2>The worst {len(found.worst)} cases</h2><p>{note}</p>", '<div class="worst">']
-        body += [*(_case(shown, (found.methods[-1],)) for shown in found.worst), "</div>"]
-    head = f'<meta charset="utf-8"><title>Evaluation</title><style>{_STYLE}</style>'
-    return f'<!doctype html>\n<html lang="en"><head>{head}</head><body>\n{"".join(body)}\n</body></html>\n'
+    last = found.methods[-1]
+    return render_page(
+        Path(__file__).with_name("page.html.jinja"),
+        title="Evaluation",
+        about=about,
+        tables=tables,
+        examples=[_case(shown, found.methods) for shown in found.examples],
+        worst=[_case(shown, (last,)) for shown in found.worst],
+        last=last,
+        region=JUDGED_BY,
+    )
 
 
-def _html_table(table: Table) -> str:
-    head = "".join(f"<th>{page(name)}</th>" for name in ("method", *table.columns))
-    rows = []
-    for method in table.rows:
-        cells = "".join(f'<td class="best">{t}</td>' if best else f"<td>{t}</td>" for t, best in table.cells(method))
-        rows.append(f"<tr><td>{page(method)}</td>{cells}</tr>")
-    caption = f"{page(table.title)} <span>({page(table.note)})</span>"
-    return f"<table><caption>{caption}</caption><tr>{head}</tr>{''.join(rows)}</table>"
-
-
-def _case(shown: Shown, methods: tuple[str, ...]) -> str:
-    """Show a case in a row: composite, outputs, truth, and where the last output differs from it."""
+def _case(shown: Shown, methods: tuple[str, ...]) -> dict[str, object]:
+    """Lay a case out in a row: composite, outputs, truth, and where the last output differs from it."""
     case, figures = shown.case, []
     if methods[0] != "raw composite":
         figures.append(_figure("composite", case.composite, _psnr(shown, "raw composite")))
@@ -201,9 +170,7 @@ def _case(shown: Shown, methods: tuple[str, ...]) -> str:
         figures.append(_figure(f"error of {methods[-1]} (FLIP)", _error(shown.outputs[methods[-1]], case.target)))
     else:
         figures.append(_figure("background", case.background))
-    tags = page(", ".join(shown.subsets))
-    title = f"{page(case.name)} <span>{tags}</span>"
-    return f'<div class="case"><h3>{title}</h3><div class="row">{"".join(figures)}</div></div>'
+    return {"name": case.name, "subsets": shown.subsets, "figures": figures}
 
 
 def _psnr(shown: Shown, method: str) -> str:
@@ -212,13 +179,10 @@ def _psnr(shown: Shown, method: str) -> str:
     return f"{scores[region]['PSNR']:.2f} dB" if region in scores else ""
 
 
-def _figure(title: str, picture: Float32, note: str = "") -> str:
+def _figure(title: str, picture: Float32, note: str = "") -> dict[str, str]:
     stream = io.BytesIO()
     Image.fromarray(to_bytes(picture)).save(stream, "JPEG", quality=92, subsampling=0)
-    data = base64.b64encode(stream.getvalue()).decode()
-    words = page(title)
-    image = f'<img alt="{words}" src="data:image/jpeg;base64,{data}">'
-    return f"<figure>{image}<figcaption>{words}<br>{note}</figcaption></figure>"
+    return {"title": title, "picture": data_uri(stream.getvalue(), "jpeg"), "note": note}
 
 
 def _error(output: Float32, target: Float32) -> Float32:

@@ -11,6 +11,7 @@ from torch.nn.functional import interpolate
 
 from multilight.datagen.errors import UserError
 from multilight.datagen.files.outputs import check_file
+from multilight.model.device import chosen_device
 from multilight.model.inference.depth import DepthModel, depth_from_metres, guessed_depth
 from multilight.model.inference.files import Files
 from multilight.model.inference.pictures import read_depth, read_mask, read_picture, write_picture
@@ -62,17 +63,6 @@ def network_harmonizer(weights: Path, device: str = "auto") -> Harmonizer:
     """Load trained weights as a function from pictures to the harmonized picture."""
     network = load_network(weights).to(chosen_device(device))
     return lambda composite, background, depth, mask: harmonize(network, composite, background, depth, mask=mask)
-
-
-def chosen_device(name: str) -> torch.device:
-    """Return the device of that name; "auto" is the GPU where there is one."""
-    if name == "auto":
-        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    try:
-        torch.zeros(1, device=name).item()
-        return torch.device(name)
-    except (RuntimeError, AssertionError, NotImplementedError) as error:
-        raise UserError(f"device {name!r} cannot be used: {str(error).splitlines()[0]}; try cpu") from None
 
 
 @torch.inference_mode()
@@ -131,9 +121,9 @@ def _from_tiles(network: Compositing2D, pictures: list[Tensor], mask: Tensor | N
         for left in _starts(width):
             window = (..., slice(top, top + WHOLE), slice(left, left + WHOLE))
             tile = [picture[window] for picture in pictures]
-            share = _fade(tile[0].shape[-2:]).to(total)
-            total[window] += share * network(*tile, mask[window])
-            weight[window] += share
+            fade = _fade(tile[0].shape[-2:]).to(total)
+            total[window] += fade * network(*tile, mask[window])
+            weight[window] += fade
     return total / weight
 
 

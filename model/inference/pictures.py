@@ -12,14 +12,28 @@ from multilight.scenes.arrays import Float32, UInt8
 from multilight.scenes.files.limits import open_picture, read_npy
 
 
+def opened(path: Path) -> Image.Image:
+    """Open and decode a picture, as its pixels lie in the file; raises `UserError` naming it where that fails."""
+    try:
+        with open_picture(path) as image:
+            image.load()
+    except FileNotFoundError:
+        raise UserError(f"{path} does not exist") from None
+    except UnidentifiedImageError:
+        raise UserError(f"{path} is not a picture that can be read; use PNG, JPEG, TIFF or WebP") from None
+    except (OSError, SyntaxError, ValueError) as error:
+        raise UserError(f"{path} cannot be read: {error}") from None
+    return image
+
+
 def read_picture(path: Path) -> Float32:
-    """Read a display-encoded picture, turned upright as its camera noted: (H, W, 3) float32 in [0, 1]."""
-    return np.asarray(ImageOps.exif_transpose(_opened(path)).convert("RGB"), np.float32) / 255.0
+    """Read a display-encoded picture, rotated upright as its camera noted: (H, W, 3) float32 in [0, 1]."""
+    return np.asarray(ImageOps.exif_transpose(opened(path)).convert("RGB"), np.float32) / 255.0
 
 
 def read_mask(path: Path) -> Float32:
     """Read a mask: (H, W) float32 in [0, 1], 1 on the object; raises `UserError` where it marks nothing."""
-    mask = np.asarray(ImageOps.exif_transpose(_opened(path)).convert("L"), np.float32) / 255.0
+    mask = np.asarray(ImageOps.exif_transpose(opened(path)).convert("L"), np.float32) / 255.0
     if mask.max() < 0.5:
         raise UserError(f"mask {path} marks nothing: the object must be white (255), all else black (0)")
     return mask
@@ -36,7 +50,7 @@ def read_depth(path: Path) -> Float32:
         except (OSError, ValueError) as error:
             raise UserError(f"depth {path} cannot be read: {error}") from None
     else:
-        depth = np.asarray(_opened(path))
+        depth = np.asarray(opened(path))
     depth = np.squeeze(np.asarray(depth, np.float32))
     if depth.ndim != 2 or not depth.size:
         raise UserError(f"depth {path} has shape {depth.shape}; it must be one number a pixel (H, W)")
@@ -70,16 +84,3 @@ def resized(picture: Float32, size: tuple[int, int]) -> Float32:
     shape = (size[1], size[0])
     every = [Image.fromarray(p).resize(shape, Image.Resampling.BILINEAR) for p in np.moveaxis(planes, -1, 0)]
     return np.stack([np.asarray(image, np.float32) for image in every], axis=-1).reshape(*size, *picture.shape[2:])
-
-
-def _opened(path: Path) -> Image.Image:
-    try:
-        with open_picture(path) as image:
-            image.load()
-    except FileNotFoundError:
-        raise UserError(f"{path} does not exist") from None
-    except UnidentifiedImageError:
-        raise UserError(f"{path} is not a picture that can be read; use PNG, JPEG, TIFF or WebP") from None
-    except (OSError, SyntaxError, ValueError) as error:
-        raise UserError(f"{path} cannot be read: {error}") from None
-    return image

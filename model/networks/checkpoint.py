@@ -144,11 +144,6 @@ def _check_size(make: Callable[[], nn.Module], tensors: Tensors) -> None:
         raise ValueError(f"its header describes a network of {described} numbers, the file holds {found}")
 
 
-def weights_header(path: Path) -> dict[str, str]:
-    """Return what a file of weights says about itself: how, when and on what it was trained."""
-    return _read_tensors(path)[1]
-
-
 def _write_tensors(path: Path, tensors: Tensors, header: dict[str, str]) -> None:
     with written(path) as work:
         save_file({k: v.detach().cpu().contiguous() for k, v in tensors.items()}, work, metadata=header)

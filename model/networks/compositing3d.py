@@ -14,13 +14,15 @@ from torch.nn import functional
 
 from multilight.model.configs.stage3d import SceneNetworkConfig
 from multilight.model.gaussians.splat_scene import SplatScene
-from multilight.model.networks.compositing2d import Backbone, linear_to_srgb, srgb_to_linear
+from multilight.model.networks.compositing2d import Backbone
+from multilight.model.networks.input_features import linear_to_srgb, srgb_to_linear
 from multilight.model.networks.points3d import FEATURES, PointTransformer, point_features
+from multilight.scenes.arrays import Float32
 
 FLOOR = 0.02  # linear light added to both sides of a ratio: below it, detail is noise
 LARGEST_RATIO = 3.0
 UNTOUCHED, TOUCHED = 0.5 / 255.0, 2.0 / 255.0
-"""Display-encoded change by the 2D stage that is none, and that is one: in between, a share is."""
+"""Display-encoded change by the 2D stage that is none, and that is one: in between, a fraction is."""
 
 
 class Compositing3D(nn.Module):
@@ -76,8 +78,21 @@ def harmonize_scene(
     """
     carry = scene.carry if network.config.carry == "average" else scene.gather
     colors = network.colors(scene, carry(composites), carry(harmonized))
-    share = touched(scene, harmonized, backgrounds)
-    return colors, torch.lerp(harmonized, detailed(scene, colors, harmonized), share)
+    changed = touched(scene, harmonized, backgrounds)
+    return colors, torch.lerp(harmonized, detailed(scene, colors, harmonized), changed)
+
+
+@torch.inference_mode()
+def harmonize_views(
+    network: SceneNetwork, scene: SplatScene, composites: Float32, harmonized: Float32, backgrounds: Float32
+) -> tuple[Float32, Float32]:
+    """Do as `harmonize_scene` with arrays (V, H, W, 3): colours (N, 3), and views (V, H, W, 3) in [0, 1]."""
+    given = (
+        torch.from_numpy(views).permute(0, 3, 1, 2).to(scene.matrix.device)
+        for views in (composites, harmonized, backgrounds)
+    )
+    colors, views = harmonize_scene(network, scene, *given)
+    return colors.cpu().numpy(), views.clamp(0.0, 1.0).permute(0, 2, 3, 1).cpu().numpy()
 
 
 def touched(scene: SplatScene, harmonized: Tensor, backgrounds: Tensor) -> Tensor:

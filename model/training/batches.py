@@ -1,5 +1,6 @@
 """Batches for training, endless and resumable: batch `n` is the same whatever came before it."""
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -18,11 +19,14 @@ FIELDS = ("composite", "background", "depth", "target", "mask", "effect")
 
 
 @dataclass(frozen=True)
-class Share:
-    """Which of `world` processes this is."""
+class Process:
+    """Which of `world` training processes this is."""
 
     rank: int = 0
     world: int = 1
+
+
+ALONE = Process()
 
 
 @dataclass(frozen=True)
@@ -42,46 +46,60 @@ class Batch:
         """Put a collated sample on a device."""
         return cls(**{name: sample[name].to(device, non_blocking=True) for name in FIELDS}, meta=sample["meta"])
 
-    def names(self, wrong: Tensor) -> str:
-        """Name the samples for which `wrong` (B,) bool holds."""
+    def names(self, wrong: Tensor | None = None) -> str:
+        """Name the samples for which `wrong` (B,) bool holds, or all."""
         meta = self.meta
-        found = [
-            f"scene {int(meta['scene'][i])} view {int(meta['view'][i])} object {meta['object'][i]}"
-            for i in wrong.nonzero().flatten().tolist()
-        ]
-        return "; ".join(found)
+        numbers = range(len(self.target)) if wrong is None else wrong.nonzero().flatten().tolist()
+        return "; ".join(
+            f"scene {int(meta['scene'][i])} view {int(meta['view'][i])} object {meta['object'][i]}" for i in numbers
+        )
 
 
 @dataclass(frozen=True)
-class _Numbers:
-    """Yields the sample numbers of one process' part of each step's batch, from `first` on."""
+class _BatchSampler:
+    """Yields the sample numbers of one process' part of each step's batch, from step `first` on."""
 
     base: int
     first: int
     batch: int
-    share: Share
+    process: Process
 
     def __iter__(self) -> Iterator[list[int]]:
-        part = self.batch // self.share.world
-        step = self.first
-        while True:
-            start = self.base + step * self.batch + self.share.rank * part
+        part = self.batch // self.process.world
+        for step in itertools.count(self.first):
+            start = self.base + step * self.batch + self.process.rank * part
             yield list(range(start, start + part))
-            step += 1
 
 
-def training_batches(config: TrainingConfig, number: int, first: int, share: Share) -> Iterator[dict[str, Any]]:
+def training_samples(data: DataConfig, size: int, *, views: int = 1, augment: bool = False) -> MultiLightDataset:
+    """Open the training samples, without end."""
+    settings = SampleSettings(
+        size=size, views=views, seed=data.seed, where=data.where, lighting=data.lighting, length=ENDLESS,
+        augment=augment, repeat=True,
+    )  # fmt: skip
+    return MultiLightDataset(data.train, settings)
+
+
+def validation_samples(data: DataConfig, size: int, *, views: int = 1) -> MultiLightDataset:
+    """Open the validation samples, always the same: stored lighting, whole pictures."""
+    settings = SampleSettings(
+        size=size, views=views, split=data.validation_split, lighting="stored", length=data.validation_samples,
+        augment=False, repeat=True,
+    )  # fmt: skip
+    try:
+        return MultiLightDataset(data.validation or data.train, settings)
+    except UserError as error:
+        raise UserError(f"validation: {error}; set data.validation_split, or data.validation_samples = 0") from None
+
+
+def training_batches(config: TrainingConfig, number: int, first: int, process: Process) -> Iterator[dict[str, Any]]:
     """Return the endless batches of stage `number` from step `first` on: collated samples."""
     stage, data = config.stages[number], config.data
-    if stage.batch % share.world:
-        raise UserError(f"stages.batch = {stage.batch} cannot be shared by {share.world} processes")
-    settings = SampleSettings(
-        size=stage.size, seed=data.seed, where=data.where, lighting=data.lighting, length=ENDLESS,
-        augment=data.augment, repeat=True,
-    )  # fmt: skip
+    if stage.batch % process.world:
+        raise UserError(f"stages.batch = {stage.batch} cannot be shared by {process.world} processes")
     loader = DataLoader(
-        MultiLightDataset(data.train, settings),
-        batch_sampler=_Numbers(number * STAGE_SAMPLES, first, stage.batch, share),
+        training_samples(data, stage.size, augment=data.augment),
+        batch_sampler=_BatchSampler(number * STAGE_SAMPLES, first, stage.batch, process),
         num_workers=data.workers,
         # Forked, a loader process waits for ever on whatever lock another thread held.
         multiprocessing_context="spawn" if data.workers else None,
@@ -100,20 +118,13 @@ def _one_line_errors(loader: DataLoader[Any]) -> Iterator[dict[str, Any]]:
 
 
 def validation_batches(data: DataConfig, stage: StageConfig, device: torch.device, *, batch: int = 8) -> list[Batch]:
-    """Load the validation samples, always the same: stored lighting, whole pictures; empty where there are none."""
+    """Load the validation samples; empty where there are none."""
     if not data.validation_samples:
         return []
-    settings = SampleSettings(
-        size=stage.size, split=data.validation_split, lighting="stored", length=data.validation_samples,
-        augment=False, repeat=True,
-    )  # fmt: skip
-    try:
-        dataset = MultiLightDataset(data.validation or data.train, settings)
-    except UserError as error:
-        raise UserError(f"validation: {error}; set data.validation_split, or data.validation_samples = 0") from None
-    return [Batch.of(sample, device) for sample in DataLoader(dataset, batch_size=batch, shuffle=False)]
+    loader = DataLoader(validation_samples(data, stage.size), batch_size=batch, shuffle=False)
+    return [Batch.of(sample, device) for sample in loader]
 
 
 def stage_at(config: TrainingConfig, done: float) -> int:
-    """Return the number of the stage at a share `done` in [0, 1] of the training."""
+    """Return the number of the stage when the fraction `done` of the training, in [0, 1], is done."""
     return next((i for i, stage in enumerate(config.stages) if done < stage.until), len(config.stages) - 1)

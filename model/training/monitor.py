@@ -1,11 +1,11 @@
-"""What one sees of a training: validation, sample pictures, the log."""
+"""What one sees of a training: the validation's figure, sample pictures, the log."""
 
 from collections.abc import Callable
 from pathlib import Path
 
 import torch
 from PIL import Image
-from torch import Tensor, nn
+from torch import Tensor
 
 from multilight.datagen.files.outputs import written
 from multilight.model.evaluation.metrics import EFFECT, MOST_PSNR
@@ -25,24 +25,10 @@ def regional_psnr(image: Tensor, target: Tensor, mask: Tensor, effect: Tensor) -
     return (-10.0 * mean.clamp(min=1e-12).log10()).clamp(max=MOST_PSNR)
 
 
-@torch.no_grad()
-def validate(network: nn.Module, batches: list[Batch]) -> dict[str, float]:
-    """Return mean regional PSNR [dB] of the raw composite and of the network over validation batches."""
-    found: dict[str, list[Tensor]] = {"composite": [], "network": []}
-    for b in batches:
-        image = network(b.composite, b.background, b.depth, b.mask)
-        found["network"].append(regional_psnr(image, b.target, b.mask, b.effect))
-        found["composite"].append(regional_psnr(b.composite, b.target, b.mask, b.effect))
-    return {name: float(torch.cat(values).mean()) for name, values in found.items()}
-
-
-@torch.no_grad()
-def sample_sheet(network: nn.Module, batch: Batch) -> Tensor:
-    """Show background, composite, prediction, target and four times the error, a row a sample: (3, R*S, 5*S)."""
-    b = batch
-    image = network(b.composite, b.background, b.depth, b.mask)
-    error = (4.0 * (image - b.target).abs()).clamp(max=1.0)
-    rows = torch.cat((b.background, b.composite, image, b.target, error), dim=3)[:SHOWN]
+def sample_sheet(batch: Batch, image: Tensor) -> Tensor:
+    """Show background, composite, `image`, target and four times its error, a row a sample: (3, R*S, 5*S)."""
+    error = (4.0 * (image - batch.target).abs()).clamp(max=1.0)
+    rows = torch.cat((batch.background, batch.composite, image, batch.target, error), dim=3)[:SHOWN]
     return torch.cat(list(rows), dim=1).cpu()
 
 

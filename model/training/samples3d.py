@@ -1,6 +1,7 @@
 """Samples of the 3D stage: a scene's views with an object under two lightings, and the scene's Gaussians."""
 
 from collections import OrderedDict
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,25 +11,20 @@ from torch import Tensor
 
 from multilight.datagen.errors import UserError
 from multilight.model.configs.stage3d import SceneTrainingConfig
-from multilight.model.data import MultiLightDataset, SampleSettings
 from multilight.model.gaussians.splat_scene import SplatScene, splat_scene
+from multilight.model.training.batches import FIELDS, Batch, training_samples, validation_samples
 from multilight.scenes.cameras.pinhole import camera_of
-
-ENDLESS = 1 << 40  # samples; the dataset's order is a pure function of the sample's number
 
 
 @dataclass(frozen=True)
-class SceneSample:
-    """One object of one scene in V views: pictures (V, 3, H, W) display-encoded, depth and mask (V, 1, H, W)."""
+class SceneSample(Batch):
+    """One object of one scene in V views: pictures (V, 3, S, S) display-encoded, depth and mask (V, 1, S, S)."""
 
-    composite: Tensor
-    background: Tensor
-    depth: Tensor
-    target: Tensor
-    mask: Tensor
-    effect: Tensor
     scene: SplatScene
-    name: str
+
+    def names(self, wrong: Tensor | None = None) -> str:
+        """Name the scene and the object."""
+        return f"scene {self.meta['scene']} object {self.meta['object']}"
 
 
 class SceneSamples:
@@ -36,33 +32,21 @@ class SceneSamples:
 
     def __init__(self, config: SceneTrainingConfig, device: torch.device, *, validation: bool = False) -> None:
         """Open the training or the validation samples; raises `UserError` where no scene has as many views."""
-        data, size = config.data, config.stages[0].size
+        opened = validation_samples if validation else training_samples
         self.config, self.device = config, device
-        settings = SampleSettings(
-            size=size, views=config.views, seed=data.seed, where=data.where, lighting=data.lighting, length=ENDLESS,
-            augment=False, repeat=True,
-        )  # fmt: skip
-        address = data.train
-        if validation:
-            address = data.validation or data.train
-            settings = SampleSettings(
-                size=size, views=config.views, split=data.validation_split, lighting="stored",
-                length=max(data.validation_samples, 1), augment=False, repeat=True,
-            )  # fmt: skip
-        self._data = MultiLightDataset(address, settings)
+        self._data = opened(config.data, config.stages[0].size, views=config.views)
         self._kept: OrderedDict[tuple[int, bytes], SplatScene] = OrderedDict()
+
+    def __iter__(self) -> Iterator[SceneSample]:
+        return (self[number] for number in range(len(self._data)))
 
     def __getitem__(self, number: int) -> SceneSample:
         sample = self._data[number]
         meta = sample["meta"]
         order = sorted(range(self.config.views), key=lambda v: sample["c2w"][v].numpy().tobytes())
-        pictures = {
-            name: sample[name][order].to(self.device)
-            for name in ("composite", "background", "depth", "target", "mask", "effect")
-        }
+        pictures = {name: sample[name][order].to(self.device) for name in FIELDS}
         ordered = {name: sample[name][order].numpy() for name in ("K", "c2w", "z_depth")}
-        scene = self._scene(meta["scene"], ordered)
-        return SceneSample(**pictures, scene=scene, name=f"scene {meta['scene']} object {meta['object']}")
+        return SceneSample(**pictures, meta=meta, scene=self._scene(meta["scene"], ordered))
 
     def _scene(self, index: int, views: dict[str, NDArray[Any]]) -> SplatScene:
         key = (index, views["c2w"].tobytes())

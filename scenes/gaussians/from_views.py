@@ -96,7 +96,7 @@ def gaussians_from_views(
     side: int = 256,
     normals: ArrayLike | None = None,
 ) -> SceneGaussians:
-    """Make side * side Gaussians of one grey from the depth of a scene's views; `sources` says whose colours they have.
+    """Make side * side Gaussians from the depth of a scene's views, grey until they are given their sources' colours.
 
     z_depths (V, H, W) metres, 0 where there is nothing; instance_ids (V, H, W); `object_ids` are the instance ids
     of the insertable objects, in order; normals (V, H, W, 3) unit, world (found from the depth, unless given).
@@ -128,7 +128,7 @@ def gaussians_from_views(
 
 
 def normals_from_depth(camera: Camera, z_depth: ArrayLike) -> Float64:
-    """Find surface normals (H, W, 3) from z_depth (H, W), unit, world, turned towards the camera.
+    """Find surface normals (H, W, 3) from z_depth (H, W), unit, world, facing the camera.
 
     Of the two neighbours along each image axis the one at the more similar depth counts, so that outlines do not
     bend the normals beside them. Where there is nothing, or no neighbour, the normal faces the camera.

@@ -14,8 +14,9 @@ from multilight.datagen.cli import main
 from multilight.datagen.errors import UserError
 from multilight.model.cli import COMMANDS
 from multilight.model.configs.stage2d import NetworkConfig
+from multilight.model.device import chosen_device
 from multilight.model.inference.depth import DepthModel, depth_from_inverse, depth_from_metres, guessed_depth
-from multilight.model.inference.harmonize import WHOLE, _starts, chosen_device, harmonize
+from multilight.model.inference.harmonize import WHOLE, _starts, harmonize
 from multilight.model.inference.pictures import read_depth, read_mask, read_picture, resized
 from multilight.model.networks.checkpoint import save_network
 from multilight.model.networks.compositing2d import Compositing2D

@@ -20,12 +20,12 @@ from multilight.datagen.errors import UserError
 from multilight.datagen.storage.source import open_dataset
 from multilight.model.captures.assets import load_asset
 from multilight.model.captures.capture import Capture
+from multilight.model.captures.confidence import repaired
 from multilight.model.captures.insert import harmonize_capture, insert_object
 from multilight.model.captures.objects import AMBIENT, FROM_CAMERA, PlacedObject
 from multilight.model.captures.placing import placed, upright
 from multilight.model.captures.planes import find_plane, free_place, scene_centre, scene_up
 from multilight.model.captures.request import Wish
-from multilight.model.captures.trust import repaired
 from multilight.model.captures.video import GAP, orbit_cameras, write_video
 from multilight.model.cli import COMMANDS
 from multilight.model.configs.stage2d import NetworkConfig
@@ -271,16 +271,16 @@ def test_an_untrained_network_changes_nothing(capture: Capture, ball: Path) -> N
     assert np.median(changed[:, far]) < 1e-5
 
 
-def test_distrusted_pixels_change_as_those_around_them() -> None:
+def test_pixels_of_low_confidence_change_as_those_around_them() -> None:
     single = np.full((1, 20, 20, 3), 0.5, np.float32)
     views, coverage = single.copy(), np.zeros((1, 20, 20), np.float32)
     coverage[:, :, 10:] = 1.0
     views[:, :, 10:] = 0.6
     wrong = views.copy()
     wrong[:, 5, 11] = 0.05  # a hole in the object, beside its outline
-    trusted = np.ones((1, 20, 20), np.float32)
-    trusted[:, 5, 11] = 0.0
-    np.testing.assert_allclose(repaired(single, wrong, trusted, coverage), views, atol=1e-5)
+    confidence = np.ones((1, 20, 20), np.float32)
+    confidence[:, 5, 11] = 0.0
+    np.testing.assert_allclose(repaired(single, wrong, confidence, coverage), views, atol=1e-5)
 
 
 def test_out_of_view_and_hidden_are_told(capture: Capture, ball: Path) -> None:

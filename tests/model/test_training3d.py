@@ -18,7 +18,7 @@ from multilight.model.evaluation.settings import CaseSettings
 from multilight.model.networks.checkpoint import load_network3d, save_network
 from multilight.model.networks.compositing2d import Compositing2D
 from multilight.model.training.samples3d import SceneSamples
-from multilight.model.training.stage3d import SceneTrainer, train_scenes
+from multilight.model.training.stage3d import Trainer3D, train_scenes
 
 TINY = {"width": 16, "heads": 2, "groups": 1, "blocks": 2, "window": 4, "pooled": 2}
 CPU = torch.device("cpu")
@@ -45,15 +45,14 @@ def config(dataset: Path, weights: Path, out: Path, **changes: Any) -> SceneTrai
 def test_resuming_is_exact(spheres_dataset: Path, weights2d: Path, tmp_path: Path) -> None:
     whole = config(spheres_dataset, weights2d, tmp_path / "whole")
     train_scenes(whole)
-    first = SceneTrainer(config(spheres_dataset, weights2d, tmp_path / "again"), CPU)
-    samples = SceneSamples(first.config, CPU)
+    first = Trainer3D(config(spheres_dataset, weights2d, tmp_path / "again"), CPU)
     for step in range(4):
-        first._step(samples[step], step / 4)
+        first._step(step / 4)
         first.progress = type(first.progress)(step + 1, 0.0)
     stored = load_file(tmp_path / "whole" / "checkpoints" / "step_000004.safetensors")
     for name, tensor in first.network.state_dict().items():
         assert torch.equal(stored[f"model.{name}"], tensor), name
-    resumed = SceneTrainer(whole, CPU)
+    resumed = Trainer3D(whole, CPU)
     assert resumed.progress.step == 4
     for name, tensor in resumed.average.state_dict().items():
         assert torch.equal(first.average.state_dict()[name], tensor), name

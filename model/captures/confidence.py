@@ -1,4 +1,4 @@
-"""Where the Gaussians can be believed: pixels whose surface they show, and what to do about the others.
+"""How surely the Gaussians show each pixel's own surface, and what to do about the pixels where they do not.
 
 Discs that stand for many pixels leave a few holes, through which what lies behind shows, and are ragged at outlines.
 There the change that the 3D stage makes is taken from around, on the same side of the object's outline.
@@ -15,15 +15,15 @@ from multilight.scenes.colour import srgb_decode, srgb_encode
 from multilight.scenes.spec import Camera
 
 RIGHT, WRONG = 0.01, 0.03
-"""Relative error of the depth that Gaussians show, up to which a pixel is believed, and from which on it is not."""
+"""Relative error of the depth that Gaussians show, up to which confidence is one, and from which on it is zero."""
 AROUND = 2.0
 """Standard deviation [pixels] of the neighbourhood that stands in."""
 LEAST = 1e-3
-"""Trust in the neighbourhood below which a pixel stays as the 2D stage left it."""
+"""Confidence in the neighbourhood below which a pixel stays as the 2D stage left it."""
 
 
-def trust(scene: SplatScene, cameras: tuple[Camera, ...], z_depths: Float32) -> Float32:
-    """Return how far each pixel shows the surface that its depth says, (V, H, W) in [0, 1].
+def depth_confidence(scene: SplatScene, cameras: tuple[Camera, ...], z_depths: Float32) -> Float32:
+    """Return how surely each pixel shows the surface that its depth says, (V, H, W) in [0, 1].
 
     Gaussians blend to a mean point; its depth along the axis is held against z_depths (V, H, W).
     """
@@ -41,19 +41,19 @@ def trust(scene: SplatScene, cameras: tuple[Camera, ...], z_depths: Float32) -> 
     return np.stack(found).astype(np.float32)
 
 
-def repaired(single: Float32, views: Float32, trusted: Float32, coverage: Float32) -> Float32:
-    """Return views (V, H, W, 3) whose distrusted pixels change `single` as those around them do; display-encoded."""
+def repaired(single: Float32, views: Float32, confidence: Float32, coverage: Float32) -> Float32:
+    """Return views (V, H, W, 3), display-encoded, whose unsure pixels change `single` as those around them do."""
     before = srgb_decode(single) + FLOOR
     gains = (srgb_decode(views) + FLOOR) / before
     result = np.array(views)
-    for number, (gain, share, cover) in enumerate(zip(gains, trusted, coverage, strict=True)):
+    for number, (gain, sure, cover) in enumerate(zip(gains, confidence, coverage, strict=True)):
         filled = np.ones_like(gain)
         for region in (cover > 0.5, cover <= 0.5):
-            weight = share * region
+            weight = sure * region
             near = gaussian_filter(weight, AROUND)
             sums = gaussian_filter(gain * weight[..., None], (AROUND, AROUND, 0))
             there = (region & (near > LEAST))[..., None]
             filled = np.where(there, sums / np.maximum(near, LEAST)[..., None], filled)
-        mixed = share[..., None] * gain + (1.0 - share[..., None]) * filled
+        mixed = sure[..., None] * gain + (1.0 - sure[..., None]) * filled
         result[number] = srgb_encode(before[number] * mixed - FLOOR)
     return result

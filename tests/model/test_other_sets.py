@@ -11,7 +11,7 @@ from multilight.datagen.errors import UserError
 from multilight.model.evaluation.baselines import lab_from_srgb
 from multilight.model.evaluation.cases import Case
 from multilight.model.evaluation.foscom import difference_mask, foscom_groups
-from multilight.model.evaluation.objects_with_lighting import owl_groups, read_camera
+from multilight.model.evaluation.objects_with_lighting import camera_centre, owl_groups
 from multilight.model.evaluation.run import evaluate, fitted_exposure, methods_of
 
 HEIGHT, WIDTH = 36, 48
@@ -61,7 +61,7 @@ def owl(tmp_path: Path) -> Path:
 
 
 def camera(path: Path, degrees: float) -> None:
-    """Write a camera on a circle round the object, looking at its middle (0, 0, 0.1), in OpenCV's axes."""
+    """Write a camera on a circle round the object, looking at its centre (0, 0, 0.1), in OpenCV's axes."""
     angle = np.radians(degrees)
     eye = np.array([np.cos(angle), np.sin(angle), 0.1])
     forward = np.array([-np.cos(angle), -np.sin(angle), 0.0])
@@ -72,12 +72,9 @@ def camera(path: Path, degrees: float) -> None:
     np.savetxt(path, rows)
 
 
-def test_owl_cameras_look_at_the_object(owl: Path) -> None:
-    found = read_camera(owl / "dataset" / "teapot" / "test" / "inputs" / "camera_0001.txt")
-    assert (found.width, found.height) == (WIDTH, HEIGHT)
-    np.testing.assert_allclose(found.centre, [np.cos(2 * np.pi / 3), np.sin(2 * np.pi / 3), 0.1], atol=1e-6)
-    pixel = found.K @ (found.R @ [0, 0, 0.1] + found.t)
-    np.testing.assert_allclose(pixel[:2] / pixel[2], [WIDTH / 2, HEIGHT / 2], atol=1e-6)
+def test_owl_cameras_stand_where_they_were_put(owl: Path) -> None:
+    found = camera_centre(owl / "dataset" / "teapot" / "test" / "inputs" / "camera_0001.txt")
+    np.testing.assert_allclose(found, [np.cos(2 * np.pi / 3), np.sin(2 * np.pi / 3), 0.1], atol=1e-6)
 
 
 def test_owl_takes_the_colours_of_the_nearest_input_picture(owl: Path) -> None:

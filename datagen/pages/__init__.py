@@ -1,0 +1,1 @@
+"""HTML pages from templates, each one file that needs no other."""
