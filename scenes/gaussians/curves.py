@@ -90,7 +90,7 @@ def fold(side: int) -> Int64:
 
 
 def _rotate(axes: list[Int64], i: int, bit: int) -> None:
-    """Undo or do one level's rotation of the curve in place: mirror axis 0 below `bit`, or swap it with axis i there."""
+    """Undo or do one level's rotation of the curve in place: flip axis 0 below `bit`, or swap it with axis i there."""
     below = (1 << bit) - 1
     mirrored = -((axes[i] >> bit) & 1)  # all ones where the bit is set, else zero
     swapped = (axes[0] ^ axes[i]) & below & ~mirrored
