@@ -130,11 +130,6 @@ class Path:
     sway: Float64
 
 
-def choose_trajectory(rng: np.random.Generator, settings: CameraSettings) -> TrajectoryKind:
-    """Draw a kind of trajectory, each as often as the settings say."""
-    return settings.trajectories.draw(rng)
-
-
 def draw_path(
     rng: np.random.Generator, kind: TrajectoryKind, framing: Framing, *, views: int, lens_mm: tuple[float, float]
 ) -> Path:

@@ -78,8 +78,8 @@ def sample_trajectory(
 ) -> tuple[Camera, ...]:
     """Draw cameras in which each insertable object is whole and visible in `settings.min_visible_share` of the views.
 
-    None stands inside or within `CLEARANCE` of anything, behind a wall, or below the table's top. Draw `kind` with
-    `choose_trajectory`, once a scene: refusals make no kind rarer. Raises `TrajectoryError` after `TRIES` paths.
+    None stands inside or within `CLEARANCE` of anything, behind a wall, or below the table's top. Draw `kind` from
+    `settings.trajectories` once a scene: refusals make no kind rarer. Raises `TrajectoryError` after `TRIES` paths.
     """
     size = (width, height)
     for attempt in range(TRIES):

@@ -13,7 +13,7 @@ from trimesh.collision import CollisionManager
 
 from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.library import AssetLibrary
-from multilight.scenes.cameras.paths import CameraSettings, TrajectoryShares, choose_trajectory
+from multilight.scenes.cameras.paths import CameraSettings, TrajectoryShares
 from multilight.scenes.cameras.trajectory import Subject, sample_trajectory
 from multilight.scenes.frozen import UnitFloat
 from multilight.scenes.geometry.rays import SceneRays, body_triangles, surface_points
@@ -78,7 +78,7 @@ def sample_still_life(
     glows = bool(basics.random() < GLOWING)
     count = int(basics.integers(settings.objects[0], settings.objects[1] + 1))
     angle = float(basics.uniform(0.0, 2 * np.pi))
-    trajectory = choose_trajectory(basics, settings.cameras)
+    trajectory = settings.cameras.trajectories.draw(basics)
     piled = bool(streams("piles").random() < settings.piles)
 
     def draw(attempt: int) -> SceneSpec:

@@ -16,7 +16,6 @@ from multilight.scenes.cameras.paths import (
     Framing,
     TrajectoryShares,
     camera_on,
-    choose_trajectory,
     draw_path,
 )
 from multilight.scenes.cameras.pinhole import (
@@ -285,7 +284,7 @@ def test_distance_follows_the_lens():
 def test_trajectories_come_as_often_as_stated():
     settings = CameraSettings(trajectories=TrajectoryShares(approach=0.5, orbit=0.3, handheld=0.2, random=0))
     rng = np.random.default_rng(0)
-    drawn = [choose_trajectory(rng, settings) for _ in range(600)]
+    drawn = [settings.trajectories.draw(rng) for _ in range(600)]
     assert [drawn.count(kind) / 600 for kind in KINDS] == pytest.approx([0.5, 0.3, 0.2, 0.0], abs=0.06)
 
 

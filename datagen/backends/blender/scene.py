@@ -14,6 +14,7 @@ from multilight.lights.spec import EmissiveLight, EnvironmentLight, LightRig
 from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.cameras.pinhole import SENSOR_MM, circle_of_confusion
+from multilight.scenes.poses import apply_pose
 from multilight.scenes.spec import Body, Camera, MeshAsset, Rectangle, SceneSpec, Sphere
 
 
@@ -48,8 +49,7 @@ class SyncedScene:
             placed.data.vertices.foreach_get("co", points)
             low, high = points.reshape(-1, 3).min(axis=0), points.reshape(-1, 3).max(axis=0)
             local = np.array(list(product(*zip(low, high, strict=True))))
-            pose = np.array(placed.matrix_world)
-            corners.append(local @ pose[:3, :3].T + pose[:3, 3])
+            corners.append(apply_pose(np.array(placed.matrix_world), local))
         return np.concatenate(corners)
 
     def _add_body(self, body: Body, number: int, glows: dict[int, EmissiveLight]) -> list[bpy.types.Object]:

@@ -17,6 +17,7 @@ from multilight.scenes.arrays import Float32, Float64, Mask, UInt32
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.files.limits import open_picture
 from multilight.scenes.meshes import MeshPart
+from multilight.scenes.poses import apply_pose
 from multilight.scenes.spec import Material, SceneSpec, Texture
 
 NONE = 0xFFFFFFFF
@@ -137,8 +138,7 @@ def _placed(part: MeshPart, pose: Float64) -> Float32:
     """Place a part in the world: (V, 8) float32 position, unit normal, uv."""
     normals = part.normals @ np.linalg.inv(pose[:3, :3])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
-    points = part.vertices @ pose[:3, :3].T + pose[:3, 3]
-    return np.concatenate([points, normals, part.uv], axis=1).astype(np.float32)
+    return np.concatenate([apply_pose(pose, part.vertices), normals, part.uv], axis=1).astype(np.float32)
 
 
 class _Atlas:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from multilight.scenes.assets.library import AssetLibrary
-from multilight.scenes.cameras.paths import CameraSettings, TrajectoryShares, choose_trajectory
+from multilight.scenes.cameras.paths import CameraSettings, TrajectoryShares
 from multilight.scenes.frozen import UnitFloat
 from multilight.scenes.geometry.rays import SceneRays, extreme_points, surface_points
 from multilight.scenes.kinds.rooms.clutter import GLOWING, Objects, insert, litter
@@ -53,7 +53,7 @@ def sample_room(streams: Streams, library: AssetLibrary, *, index: int, settings
     kind = settings.rooms.draw(basics)
     glows = bool(basics.random() < GLOWING)
     angle = float(basics.uniform(0.0, 2 * np.pi))
-    path = choose_trajectory(basics, settings.cameras)
+    path = settings.cameras.trajectories.draw(basics)
 
     def draw(attempt: int) -> SceneSpec:
         plan, names = _furnished(streams, library, kind, attempt, settings.insertable, glows)
