@@ -15,7 +15,7 @@ import tyro
 
 from multilight.datagen.backends.mitsuba import MitsubaBackend
 from multilight.datagen.backends.mitsuba.integrator import World
-from multilight.datagen.backends.mitsuba.surfaces import Soup
+from multilight.datagen.backends.mitsuba.surfaces import TriangleSet
 from multilight.datagen.backends.protocol import RenderJob, RenderSettings
 from multilight.datagen.config.dataset import DatasetConfig
 from multilight.datagen.production.scene import sample_scene
@@ -54,8 +54,8 @@ class Counting:
 def counted(world: World, counter: mi.UInt32) -> World:
     """Return a world that counts its rays."""
 
-    def count(soup: Soup | None) -> Soup | None:
-        return None if soup is None else replace(soup, scene=Counting(soup.scene, counter))
+    def count(triangles: TriangleSet | None) -> TriangleSet | None:
+        return None if triangles is None else replace(triangles, scene=Counting(triangles.scene, counter))
 
     return replace(world, whole=count(world.whole), fixed=count(world.fixed), changing=count(world.changing))
 
@@ -99,7 +99,7 @@ def main(options: Options) -> None:
     synced = backend._synced
     whole = synced.world
     counter = dr.zeros(mi.UInt32, 1)
-    synced._worlds[None] = counted(whole, counter)
+    synced.worlds[None] = counted(whole, counter)
     for view in views:
         render(view)
     rays = int(counter[0])

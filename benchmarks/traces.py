@@ -1,7 +1,8 @@
 """What an object leaves in backgrounds from which it was removed, beside scenes rendered without it from the start.
 
 1. Ghosts: of the object's contrast, how much is left in blocks of 8x8 pixels inside its silhouette, in any layer,
-   against converged renders. Layers with a block in which more than half is left are named.
+   against converged renders. Layers with a block in which more than half is left are named, of either kind: what never
+   had the object tells how many noise alone makes.
 2. Inside silhouettes and in a ring round them: error, error of colour and gradient energy against converged renders, as
    ratios of the background from which the object was removed to the one that never had it. At 1 nothing tells.
 3. A small convolutional network is trained to find silhouettes in backgrounds, once in either kind, and tested on
@@ -124,8 +125,8 @@ def backgrounds(options: Options, backend: Backend, library: AssetLibrary) -> It
         print(f"scene {index} ({scene.kind}) rendered", flush=True)
 
 
-def shares_left(layer: Background) -> Iterator[float]:
-    """Yield how much of the object's contrast is left, by blocks inside the silhouette."""
+def fractions_left(layer: Background, picture: Float32) -> Iterator[float]:
+    """Yield how much of the object's contrast a picture holds, by blocks inside the silhouette."""
     assert layer.converged is not None
     assert layer.present is not None
     for top in range(0, layer.silhouette.shape[0], SIDE):
@@ -135,7 +136,7 @@ def shares_left(layer: Background) -> Iterator[float]:
             if mask.sum() < SIDE * SIDE // 4:
                 continue
             true = layer.converged[at][mask].mean(axis=0)
-            off, contrast = layer.removed[at][mask].mean(axis=0) - true, layer.present[at][mask].mean(axis=0) - true
+            off, contrast = picture[at][mask].mean(axis=0) - true, layer.present[at][mask].mean(axis=0) - true
             if np.abs(contrast).max() > CONTRAST * (true.mean() + 0.02 * layer.converged.mean()):
                 yield float(off @ contrast / (contrast @ contrast))
 
@@ -166,9 +167,10 @@ MEASURES: dict[str, Callable[[Float32, Float32, Mask], float]] = {
 
 def compare(layers: list[Background]) -> None:
     """Print the ratios of what was removed from to what never had the object."""
-    left = [(max(found), layer.name) for layer in layers if (found := list(shares_left(layer)))]
-    ghosts = [f"{name} ({share:.2f})" for share, name in sorted(left, reverse=True) if share > 0.5]
-    print(f"layers with a block in which more than half of the object is left: {len(ghosts)} of {len(left)}", *ghosts)
+    for kind in ("removed", "never"):
+        left = [(max(found), x.name) for x in layers if (found := list(fractions_left(x, getattr(x, kind))))]
+        ghosts = [f"{name} ({fraction:.2f})" for fraction, name in sorted(left, reverse=True) if fraction > 0.5]
+        print(f"{kind}: layers with a block that is nearer to the object: {len(ghosts)} of {len(left)}", *ghosts)
     for place in ("inside silhouettes", "in a ring round them"):
         for name, measure in MEASURES.items():
             ratios = []

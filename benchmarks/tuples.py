@@ -35,7 +35,7 @@ from multilight.datagen.config.dataset import DatasetConfig, RendererName
 from multilight.datagen.production.denoise import denoise_all
 from multilight.datagen.production.scene import sample_scene
 from multilight.datagen.production.stopwatch import Stopwatch
-from multilight.datagen.production.view import Shoot, render_view
+from multilight.datagen.production.view import SceneSetup, render_view
 from multilight.datagen.storage.store import ViewData
 from multilight.lights.conditions import sample_conditions
 from multilight.lights.display.tonemap import meter_ev, to_display
@@ -158,9 +158,9 @@ def light_by_light(title: str, backend: Backend, case: Case) -> Way:
         return float(np.mean([case.decibels(mix(layers, case.rig.names, c), c, backend.name) for c in case.conditions]))
 
     def whole_view(spp: int, view: int) -> float:
-        shoot = Shoot(backend, case.scene, case.rig, RenderSettings(spp=spp), denoise=True, keep_raw=False)
+        setup = SceneSetup(backend, case.scene, case.rig, RenderSettings(spp=spp), denoise=True, keep_raw=False)
         start, watch = time.process_time(), Stopwatch()
-        make_tuples(case, render_view(shoot, view, watch).data)
+        make_tuples(case, render_view(setup, view, watch).data)
         seconds = time.process_time() - start
         shares = ", ".join(f"{stage} {share:.0%}" for stage, share in _shares(watch).items())
         print(f"  {title:36}{spp:5} spp {seconds:6.1f} core-s for view {view} ({shares} of the time)", flush=True)

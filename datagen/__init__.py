@@ -1,1 +1,1 @@
-"""Making it: configuration, random streams, backends, compose, store, production, verify, command line."""
+"""Making it: configuration, backends, production, storage, tuples, verification, exports, the command line."""

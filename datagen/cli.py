@@ -4,12 +4,11 @@ import dataclasses
 import math
 import sys
 from collections.abc import Mapping
-from typing import Annotated, Any, Union
+from typing import Any
 
 import tyro
 
-from multilight.datagen.commands import export, import_scene, installed, make, pack, query
-from multilight.datagen.commands import inspect as look
+from multilight.datagen.commands import export, import_scene, inspect, installed, make, pack, query
 from multilight.datagen.commands.terminal import (
     PIPE_BROKEN,
     EndedError,
@@ -21,6 +20,7 @@ from multilight.datagen.commands.terminal import (
     signals_end_it,
 )
 from multilight.datagen.errors import UserError
+from multilight.scenes.errors import MultilightError
 from multilight.scenes.files.limits import shown
 
 ABOUT = "Synthetic multi-light data for object compositing, harmonization, relighting and shadow generation."
@@ -33,10 +33,10 @@ STOPPED = "stopped; the same command goes on where it was"
 COMMANDS: dict[str, type] = {
     "dataset": make.Dataset,
     "scene": make.Scene,
-    "verify": look.Verify,
-    "mix": look.Mix,
-    "sheet": look.Sheet,
-    "stats": look.Stats,
+    "verify": inspect.Verify,
+    "mix": inspect.Mix,
+    "sheet": inspect.Sheet,
+    "stats": inspect.Stats,
     "query": query.Query,
     "export": export.Export,
     "import": import_scene.Import,
@@ -64,14 +64,8 @@ def main(arguments: list[str] | None = None, commands: Mapping[str, type] = COMM
         if not word.isascii() and word.encode(errors="replace").decode() != word:  # native libraries cannot open it
             print(f"error: {one_line(word)} is no text in UTF-8; rename it", file=sys.stderr)
             return 2
-    choices: Any = tuple(Annotated[kind, tyro.conf.subcommand(name)] for name, kind in commands.items())
-    every: Any = Union[choices]  # noqa: UP007  (made at run time)
-    command = tyro.cli(
-        every,
-        args=words,
-        prog="multilight",
-        description=ABOUT,
-        config=(tyro.conf.OmitArgPrefixes,),
+    command = tyro.extras.subcommand_cli_from_dict(
+        dict(commands), args=words, prog="multilight", description=ABOUT, config=(tyro.conf.OmitArgPrefixes,)
     )
     try:
         check_memory()
@@ -92,12 +86,11 @@ def main(arguments: list[str] | None = None, commands: Mapping[str, type] = COMM
     except (BrokenPipeError, SystemExit):  # rich makes the one of the other
         drop_unwritten()
         return PIPE_BROKEN
-    except (RuntimeError, OSError, MemoryError) as error:
-        told = _told(error)
-        if traceback or told is None:
+    except (MultilightError, OSError, MemoryError) as error:
+        if traceback:
             raise
         drop_unwritten()
-        print(f"error: {one_line(told)}", file=sys.stderr)
+        print(f"error: {one_line(_told(error))}", file=sys.stderr)
         return 1
 
 
@@ -120,18 +113,13 @@ def _tell_of_cache() -> None:
         cache.tell_thrown_away()
 
 
-def _told(error: Exception) -> str | None:
-    """Say what a user can act on; None for a fault of the program."""
-    from multilight.datagen.backends.protocol import BackendError
-    from multilight.scenes.assets.info import AssetError
-
+def _told(error: Exception) -> str:
+    """Say what a user can act on."""
     match error:
-        case UserError() | BackendError() | AssetError():
-            return str(error)
         case MemoryError():
             return (
                 f"not enough memory ({error or 'none left'}); free some, or ask for fewer workers or smaller pictures"
             )
         case OSError():
             return f"{reason_of(error)}; free some space, or choose another place"
-    return None
+    return str(error)

@@ -7,11 +7,13 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
+from multilight.scenes.errors import MultilightError
+
 FULL = 1 << 20  # bytes; native code reports a full disk in its own ways, so free space is looked at as well
 _STATED = tuple(os.strerror(code) for code in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG))
 
 
-class UserError(RuntimeError):
+class UserError(MultilightError):
     """Something the user can mend; the message names the value or file, the allowed range and the remedy."""
 
 

@@ -35,3 +35,9 @@ class Frozen(BaseModel):
     def from_json(cls, text: str) -> Self:
         """Parse and validate; raises `pydantic.ValidationError` naming the key and the value."""
         return cls.model_validate_json(text)
+
+
+class Settings(Frozen):
+    """Part of a configuration; the docstrings under its fields say what they mean wherever they are shown."""
+
+    model_config = ConfigDict(use_attribute_docstrings=True)

@@ -94,7 +94,7 @@ def sphere_part(shape: Sphere, material: Material) -> MeshPart:
 
     ball = icosphere(subdivisions=5)
     normals = ball.vertices.astype(np.float32)
-    # Let the faces' middles lie as much inside the true sphere as the vertices lie outside.
+    # Let the faces' centres lie as much inside the true sphere as the vertices lie outside.
     inner = np.linalg.norm(ball.triangles_center, axis=1).min()
     longitude = np.arctan2(normals[:, 1], normals[:, 0]) / (2 * np.pi) + 0.5
     latitude = np.arcsin(np.clip(normals[:, 2], -1, 1)) / np.pi + 0.5

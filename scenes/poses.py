@@ -11,7 +11,7 @@ from multilight.scenes.spec import Body, Camera, SceneKind, SceneSpec
 
 
 def matrix4(matrix: ArrayLike) -> Matrix4:
-    """Turn a 4x4 array into the nested tuples that specifications hold."""
+    """Convert a 4x4 array to the nested tuples that specifications hold."""
     rows = np.asarray(matrix, np.float64)
     if rows.shape != (4, 4):
         raise ValueError(f"expected a 4x4 matrix, got shape {rows.shape}")

@@ -104,3 +104,12 @@ def test_help_is_light() -> None:
         "sys.exit(f'{sorted(bad)}' if bad else 0)"
     )
     subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, cwd=ROOT)
+
+
+def test_errors_have_one_root() -> None:
+    loose = {"Exception", "RuntimeError", "ValueError", "OSError", "KeyError", "TypeError"}
+    for path in set(sources()) - {ROOT / "scenes" / "errors.py"}:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ClassDef) and node.name.endswith("Error"):
+                bases = {base.id for base in node.bases if isinstance(base, ast.Name)}
+                assert not bases <= loose, f"{path.relative_to(ROOT)}: {node.name} derives from {sorted(bases)} alone"

@@ -4,6 +4,7 @@ import importlib.util
 from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING
 
+from multilight.datagen.backends.machine.variants import choose_variant
 from multilight.datagen.backends.protocol import Backend, BackendError
 from multilight.datagen.config.dataset import RendererName
 
@@ -12,35 +13,35 @@ if TYPE_CHECKING:  # reading a dataset needs none of what reads meshes
 
 
 def has_mitsuba() -> bool:
-    """Tell whether Mitsuba and our backend for it are installed; imports neither."""
-    room = importlib.util.find_spec("multilight.datagen.backends.mitsuba")
-    return room is not None and room.origin is not None and importlib.util.find_spec("mitsuba") is not None
+    """Tell whether Mitsuba is installed; does not import it."""
+    return importlib.util.find_spec("mitsuba") is not None
 
 
 def pick_renderer() -> tuple[RendererName, str]:
-    """Return the fastest renderer that is installed, and why it is that one."""
-    has_cycles = importlib.util.find_spec("bpy") is not None
+    """Return the fastest renderer that runs here, and why it is that one."""
+    why = "Mitsuba is not installed"
     if has_mitsuba():
-        from multilight.datagen.backends.machine.variants import choose_variant
-
         choice = choose_variant()
-        if choice.variant != "scalar_rgb":
+        if choice.variant is not None:
             return "mitsuba", choice.why
-        if not has_cycles:
-            return "mitsuba", f"{choice.why}, and no Blender"
-        return "cycles", f"Mitsuba would be slower: {choice.why}"
-    if has_cycles:
-        return "cycles", "Blender is installed"
-    return "analytic", "neither Mitsuba nor Blender is installed"
+        why = f"Mitsuba cannot run: {choice.why}"
+    if importlib.util.find_spec("bpy") is not None:
+        return "cycles", why
+    return "analytic", f"{why}, and Blender is not installed"
 
 
 def resolve_renderer(wanted: str) -> RendererName:
-    """Turn `auto` into the fastest renderer that is installed; raises `BackendError` where one is missing."""
+    """Turn `auto` into the fastest renderer that runs here; raises `BackendError` where one cannot."""
     match wanted:
         case "auto":
             return pick_renderer()[0]
         case "mitsuba" if not has_mitsuba():
             raise BackendError("renderer 'mitsuba' needs the package mitsuba: pip install mitsuba")
+        case "mitsuba" if choose_variant().variant is None:
+            raise BackendError(
+                f"renderer 'mitsuba' cannot run here, {choose_variant().why}: run `multilight doctor --fetch`, "
+                "or use --renderer cycles"
+            )
         case "cycles" if importlib.util.find_spec("bpy") is None:
             raise BackendError("renderer 'cycles' needs the package bpy: pip install 'bpy==4.5.*'")
         case "mitsuba" | "cycles" | "analytic":

@@ -7,8 +7,9 @@ from pydantic import PositiveInt
 
 from multilight.datagen.storage.layers import LayerStack
 from multilight.lights.spec import LightRig
+from multilight.scenes.errors import MultilightError
 from multilight.scenes.frozen import Frozen
-from multilight.scenes.spec import SceneSpec
+from multilight.scenes.spec import Camera, SceneSpec
 
 
 class RenderSettings(Frozen):
@@ -42,8 +43,16 @@ class Backend(Protocol):
         ...
 
 
-class BackendError(RuntimeError):
+class BackendError(MultilightError):
     """The renderer cannot do what was asked: names the value and the remedy."""
+
+
+def view_camera(job: RenderJob) -> Camera:
+    """Return the camera of a job's view; raises `BackendError` where the scene has no such view."""
+    cameras = job.scene.cameras
+    if not 0 <= job.view < len(cameras):
+        raise BackendError(f"view {job.view} is not in 0..{len(cameras) - 1}")
+    return cameras[job.view]
 
 
 def split_variant(scene: SceneSpec, variant: str) -> tuple[str, str | None]:

@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from multilight.datagen.backends.choose import has_mitsuba, pick_renderer, resolve_renderer
+from multilight.datagen.backends.choose import has_mitsuba, pick_renderer
 from multilight.datagen.backends.machine import llvm
 from multilight.datagen.backends.machine.fetch_llvm import fetch_llvm, has_apt, known_packages
 from multilight.datagen.backends.machine.variants import Choice, Gpu, choose, choose_variant, find_gpu, try_out
@@ -95,10 +95,11 @@ def fetch() -> int:
 
 
 def slow_note(wanted: str) -> str:
-    """Return one line where Mitsuba's fast variants cannot run and `wanted` would have taken them; else nothing."""
-    if wanted not in ("auto", "mitsuba") or not has_mitsuba() or choose_variant().variant != "scalar_rgb":
+    """Return one line where Mitsuba is installed but cannot run and `wanted` would have taken it; else nothing."""
+    if wanted != "auto" or not has_mitsuba() or choose_variant().variant is not None:
         return ""
-    return f"{choose_variant().why}: rendering with {resolve_renderer(wanted)}; `multilight doctor` says what is faster"
+    renderer, why = pick_renderer()
+    return f"{why}: rendering with {renderer}; `multilight doctor` says what is faster"
 
 
 def diagnose() -> Diagnosis:
@@ -134,7 +135,7 @@ def _command(choice: Choice, parts: Sequence[Part]) -> str:
     """Return the one command that helps most; empty where only other hardware would."""
     if any(llvm.MISSING_LIBRARY in part.fault for part in parts):
         return "make system-libraries"
-    if choice.variant != "scalar_rgb":
+    if choice.variant is not None:
         return ""
     if known_packages():
         return "multilight doctor --fetch"
@@ -202,7 +203,7 @@ def _rows(found: Diagnosis) -> Iterator[tuple[str, str]]:
         yield "LLVM", "none found"
     yield "Blender", _shown(found.blender)
     yield "Mitsuba", _shown(found.mitsuba)
-    yield "variant", f"{found.choice.variant}: {found.choice.why}"
+    yield "variant", f"{found.choice.variant or 'none'}: {found.choice.why}"
     yield "denoiser", _shown(found.denoiser)
     yield "assets", ", ".join(f"{name}{'' if there else ' (not fetched)'}" for name, there in found.packs.items())
     yield "cache", f"{found.cache}, {found.free_disk:.1f} GiB free"

@@ -2,11 +2,12 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
 
-from multilight.datagen.commands.make import Renderer, make_scenes
+from multilight.datagen.commands.make import config_key, make_scenes
+from multilight.datagen.config.dataset import Denoise, Renderer, load_config
 
 
 @dataclass
@@ -19,23 +20,19 @@ class Import:
     """The stage (.usdc, .usda, .usd). Other USD files serve as backgrounds: `dataset --kind custom --background`."""
     out: Path = field(kw_only=True)
     """Folder of the dataset of this one scene."""
-    renderer: Renderer = "auto"
-    """Renderer."""
-    spp: int = 16
-    """Samples a pixel."""
-    denoise: Literal["auto", "on", "off"] = "auto"
-    """Denoise each layer (auto: below 2048 samples a pixel)."""
+    renderer: Annotated[Renderer | None, config_key("renderer")] = None
+    spp: Annotated[int | None, config_key("spp")] = None
+    denoise: Annotated[Denoise | None, config_key("denoise")] = None
     assets: tuple[Path, ...] = ()
     """Folders of your own models that the scene uses; what is missing is taken from the stage."""
 
     def run(self) -> int:
         """Make the dataset and return the exit code."""
-        from multilight.datagen.config.dataset import load_config
         from multilight.datagen.production.library import open_library
         from multilight.datagen.usd.read import read_stage
 
-        values = {"kind": "imported", "background": self.file, "scenes": 1}
-        values |= {"renderer": self.renderer, "spp": self.spp, "denoise": self.denoise}
+        given = {"renderer": self.renderer, "spp": self.spp, "denoise": self.denoise}
+        values = given | {"kind": "imported", "background": self.file, "scenes": 1}
         config = load_config(None, values)
         found = read_stage(self.file, open_library(config, self.assets))
         camera, kept = found.scene.cameras[0], found.scene.insertable

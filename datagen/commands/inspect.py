@@ -2,12 +2,14 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import tyro
 
+from multilight.datagen.config.dataset import load_config
 from multilight.datagen.config.presets import Preset
 from multilight.datagen.errors import UserError
+from multilight.datagen.tuples.request import MixRequest
 
 if TYPE_CHECKING:
     from multilight.datagen.stats.collect import Summary
@@ -44,34 +46,14 @@ class Verify:
         return print_verification(self.dir, verify_dataset(self.dir, quick=self.quick), as_json=self.json)
 
 
-@dataclass
-class Mix:
+class Mix(MixRequest):
     """Make a picture of a stored view under any lighting."""
-
-    dir: tyro.conf.Positional[str]
-    """Folder or address of the dataset."""
-    out: Path = field(kw_only=True)
-    """Picture to write: .png (tone-mapped) or .exr (scene-linear float)."""
-    scene: int = 0
-    """Index of the scene."""
-    view: int = 0
-    """Number of the view."""
-    condition: str = "all"
-    """Lighting: a condition's name, a JSON file, or random:SEED."""
-    insert_condition: str | None = None
-    """Lighting of the inserted object in a composite; as --condition."""
-    object: str | None = None
-    """Insertable object (default: the first)."""
-    what: Literal["target", "background", "composite", "effect"] | None = None
-    """What to make (default: composite with --insert-condition, else target)."""
 
     def run(self) -> int:
         """Write the picture and return the exit code."""
-        from multilight.datagen.tuples.mixing import MixRequest, write_mix
+        from multilight.datagen.tuples.mixing import write_mix
 
-        what = self.what or ("composite" if self.insert_condition else "target")
-        insert = self.insert_condition or self.condition
-        write_mix(MixRequest(self.dir, self.scene, self.view, what, self.condition, insert, self.object), self.out)
+        write_mix(self)
         return 0
 
 
@@ -140,7 +122,6 @@ class Stats:
 
     def _measure(self) -> "tuple[Summary, Path | None]":
         from multilight.datagen.commands.output import progress
-        from multilight.datagen.config.dataset import load_config
         from multilight.datagen.stats.collect import measure_dataset, measure_samples
         from multilight.datagen.storage.store import file_inside
         from multilight.scenes.assets.library import AssetLibrary

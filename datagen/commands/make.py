@@ -5,19 +5,21 @@ import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
+from multilight.datagen.config.dataset import DatasetConfig, Denoise, Kind, Renderer, load_config
 from multilight.datagen.config.presets import Preset
 from multilight.datagen.errors import StoreError, UserError
 from multilight.datagen.text import plain
 
-if TYPE_CHECKING:
-    from multilight.datagen.config.dataset import DatasetConfig
 
-Kind = Literal["tabletop", "room", "outdoor", "studio", "custom", "spheres", "imported", "mixed"]
-Renderer = Literal["auto", "mitsuba", "cycles", "analytic"]
+def config_key(key: str) -> Any:
+    """Describe an option that sets a key of the configuration, in the key's own words."""
+    field = DatasetConfig.model_fields[key]
+    words = " ".join((field.description or "").split())
+    return tyro.conf.arg(help=words, help_behavior_hint=f"(default: {field.default})")
 
 
 @dataclass(kw_only=True)
@@ -30,45 +32,31 @@ class _Options:
     """Named starting point; `multilight config show PRESET` prints it. What else is given goes over it."""
     config: Path | None = None
     """TOML file with any of the values that `multilight config show` lists."""
-    seed: int | None = None
-    """Seed of every random stream (default 0)."""
-    kind: Kind | None = None
-    """Kind of scene (default tabletop; mixed draws one a scene; spheres go with --renderer analytic)."""
-    background: Path | None = None
-    """With --kind custom: GLB, glTF, USD or .blend file to set the scenes in; scripts in it never run."""
-    renderer: Renderer | None = None
-    """Renderer (default auto: the fastest that is installed)."""
-    width: int | None = None
-    """Image width in pixels (default 256)."""
-    height: int | None = None
-    """Image height in pixels (default 256)."""
-    views: int | None = None
-    """Views a scene (default 16)."""
-    spp: int | None = None
-    """Samples a pixel (default 16)."""
-    denoise: Literal["auto", "on", "off"] | None = None
-    """Denoise each layer (default auto: below 2048 samples a pixel)."""
-    keep_raw: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Where layers are denoised, store them as they were rendered too (parts `raw_...`; twice the space)."""
+    seed: Annotated[int | None, config_key("seed")] = None
+    kind: Annotated[Kind | Literal["mixed"] | None, config_key("kind")] = None
+    background: Annotated[Path | None, config_key("background")] = None
+    renderer: Annotated[Renderer | None, config_key("renderer")] = None
+    width: Annotated[int | None, config_key("width")] = None
+    height: Annotated[int | None, config_key("height")] = None
+    views: Annotated[int | None, config_key("views")] = None
+    spp: Annotated[int | None, config_key("spp")] = None
+    denoise: Annotated[Denoise | None, config_key("denoise")] = None
+    keep_raw: Annotated[bool, tyro.conf.FlagCreatePairsOff, config_key("keep_raw")] = False
     assets: tuple[Path, ...] = ()
     """Folders of your own GLB, glTF or OBJ models to use besides the installed packs."""
 
-    def values(self) -> dict[str, object]:
-        """Return the options that belong into the configuration; None where not given."""
-        keys = ("seed", "kind", "background", "renderer", "width", "height", "views", "spp", "denoise")
-        return {key: getattr(self, key) for key in keys} | {"keep_raw": self.keep_raw or None}
-
-    def configuration(self, *, scenes: int | None) -> "DatasetConfig":
+    def configuration(self, **more: object) -> DatasetConfig:
         """Return what to make: what is given, over the dataset's own settings where it is there, else the defaults."""
-        from multilight.datagen.config.dataset import load_config
         from multilight.datagen.storage.store import read_dataset
 
-        values, below = self.values() | {"scenes": scenes}, {}
+        options = {key: value for key, value in vars(self).items() if key in DatasetConfig.model_fields} | more
+        options["keep_raw"] = self.keep_raw or None
+        below = {}
         if (self.out / "dataset.json").exists():
             with contextlib.suppress(StoreError):  # damaged: told where it is continued
                 record = read_dataset(self.out)
                 below = record.config.model_dump(exclude={"renderer"}) | {"renderer": record.renderer}
-        return load_config(self.config, values, self.preset, below)
+        return load_config(self.config, options, self.preset, below)
 
 
 @dataclass(kw_only=True)
@@ -78,8 +66,7 @@ class Dataset(_Options):
     Settings that are not given are those of the dataset where it is there already.
     """
 
-    scenes: int | None = None
-    """Number of scenes (default 4)."""
+    scenes: Annotated[int | None, config_key("scenes")] = None
     workers: int | None = None
     """Worker processes (default: one a core)."""
     repair: bool = False
@@ -87,7 +74,7 @@ class Dataset(_Options):
 
     def run(self) -> int:
         """Make what is missing and return the exit code."""
-        config = self.configuration(scenes=self.scenes)
+        config = self.configuration()
         indices = tuple(range(config.scenes))
         return make_scenes(self.out, config, indices, workers=self.workers, assets=self.assets, repair=self.repair)
 
@@ -109,7 +96,7 @@ class Scene(_Options):
 
 def make_scenes(
     out: Path,
-    config: "DatasetConfig",
+    config: DatasetConfig,
     indices: tuple[int, ...],
     *,
     workers: int | None,
@@ -139,7 +126,7 @@ def make_scenes(
     for index, reason in outcome.failures.items():
         print(plain(f"failed: scene {index}: {reason}"), file=sys.stderr)
     if spent := sum(outcome.seconds.values()):
-        print(", ".join(f"{stage} {share / spent:.0%}" for stage, share in outcome.seconds.items()) + " of the time")
+        print(", ".join(f"{stage} {took / spent:.0%}" for stage, took in outcome.seconds.items()) + " of the time")
     if outcome.made or outcome.failures:
         summary = {"made": len(outcome.made), "kept": outcome.kept, "failed": len(outcome.failures)}
         print(f"{out}: " + json.dumps(summary).strip("{}").replace('"', ""))

@@ -34,9 +34,6 @@ LEAST_TIMEOUT = 600.0
 VERSIONS = ("multilight", "bpy", "mitsuba", "drjit", "mitsuba-oidn", "OpenEXR", "trimesh", "numpy", "colour-science")
 
 
-SCALAR = "scalar_rgb"
-
-
 @dataclass(frozen=True)
 class Plan:
     """A run: where, what, which scenes, with how many processes.
@@ -144,7 +141,7 @@ def _check_makers(record: DatasetRecord, plan: Plan) -> None:
 def _open_record(plan: Plan, renderer: RendererName) -> DatasetRecord:
     """Write `dataset.json`, or check that what is there was made with the same configuration and renderer."""
     path = plan.root / "dataset.json"
-    variant = choose_variant().variant if renderer == "mitsuba" else ""
+    variant = (choose_variant().variant or "") if renderer == "mitsuba" else ""
     if not path.exists() and not scene_indices(plan.root):
         if any(not p.name.startswith(".") for p in plan.root.iterdir()):
             raise UserError(f"output folder {plan.root} holds other files and no dataset; choose an empty --out")
@@ -161,11 +158,6 @@ def _open_record(plan: Plan, renderer: RendererName) -> DatasetRecord:
         raise UserError(
             f"{plan.root} was made with renderer {record.renderer!r} and cannot be continued with {renderer!r}; "
             f"use --renderer {record.renderer} or another --out"
-        )
-    if (record.variant == SCALAR) != (variant == SCALAR):
-        raise UserError(
-            f"{plan.root} was made with Mitsuba's variant {record.variant!r} and cannot be continued with {variant!r}, "
-            "whose surfaces look different; see `multilight doctor`, or use another --out"
         )
     old, new = record.config.model_dump(), plan.config.model_dump()
     for key in sorted(set(old) - {"scenes", "renderer"}):

@@ -4,13 +4,14 @@ import os
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 from multilight.datagen.backends.protocol import Backend, RenderSettings
 from multilight.datagen.config.dataset import DatasetConfig, RendererName
 from multilight.datagen.errors import UserError, full_disk_told
 from multilight.datagen.production.denoise import AUTO_SPP
 from multilight.datagen.production.stopwatch import Stopwatch
-from multilight.datagen.production.view import RenderedView, Shoot, render_view
+from multilight.datagen.production.view import RenderedView, SceneSetup, render_view
 from multilight.datagen.storage.records import AssetCredit, SceneRecord, ViewRecord, view_file
 from multilight.datagen.storage.store import ViewData, file_sha256, read_view, scene_dir, write_text, write_view
 from multilight.datagen.tuples.exposure import meter_condition, thumbnail
@@ -21,6 +22,7 @@ from multilight.lights.rigs.sample import SPHERES_KINDS, sample_rig
 from multilight.lights.spec import EmissiveLight, EnvironmentLight, LightRig
 from multilight.scenes.assets.library import AssetError, AssetLibrary
 from multilight.scenes.files.whole import sync
+from multilight.scenes.frozen import Frozen
 from multilight.scenes.geometry.contact import check_contacts
 from multilight.scenes.kinds.custom import sample_custom
 from multilight.scenes.kinds.outdoor import sample_outdoor
@@ -32,6 +34,7 @@ from multilight.scenes.spec import MeshAsset, SceneSpec
 from multilight.scenes.still_life.sample import StillLifeSettings
 from multilight.scenes.streams import Streams
 
+S = TypeVar("S", bound=Frozen)
 ATTEMPTS = 3
 SAMPLERS = {"tabletop": sample_tabletop, "outdoor": sample_outdoor, "studio": sample_studio, "custom": sample_custom}
 
@@ -41,7 +44,7 @@ class SceneFailedError(UserError):
 
 
 @dataclass(frozen=True)
-class Maker:
+class SceneMaker:
     """What is needed to make any scene of a dataset."""
 
     config: DatasetConfig
@@ -85,31 +88,23 @@ def sample_scene(config: DatasetConfig, library: AssetLibrary, streams: Streams)
         return found.scene, found.rig
     library = library.restricted(config.split_of(streams.scene))
     if kind == "room":
-        room = RoomSettings(
-            width=config.width,
-            height=config.height,
-            views=config.views,
-            insertable=config.insertable,
-            cameras=config.cameras,
-        )
-        scene = sample_room(streams, library, index=streams.scene, settings=room)
+        scene = sample_room(streams, library, index=streams.scene, settings=_settings(RoomSettings, config))
         return scene, sample_rig(streams, scene, library, lights=config.lights)
     if kind not in SAMPLERS:
         raise UserError(f"scene {streams.scene}: no sampler makes kind {kind!r}; there are {', '.join(SAMPLERS)}")
-    settings = StillLifeSettings(
-        width=config.width,
-        height=config.height,
-        views=config.views,
-        insertable=config.insertable,
-        objects=config.objects,
-        piles=config.piles if kind == "tabletop" else 0.0,
-        cameras=config.cameras,
-    )
+    settings = _settings(StillLifeSettings, config)
+    if kind != "tabletop":
+        settings = settings.model_copy(update={"piles": 0.0})
     scene = SAMPLERS[kind](streams, library, index=streams.scene, settings=settings)
     return scene, sample_rig(streams, scene, library, lights=config.lights)
 
 
-def make_scene(maker: Maker, index: int) -> Made:
+def _settings(kind: type[S], config: DatasetConfig) -> S:
+    """Return what a sampler is told: of the configuration the keys that it knows."""
+    return kind.model_validate({key: getattr(config, key) for key in kind.model_fields if hasattr(config, key)})
+
+
+def make_scene(maker: SceneMaker, index: int) -> Made:
     """Make a scene; nothing is there under its name before it is whole and verified.
 
     A draw is thrown away as soon as one of its views fails a check or an asset of it is broken, and drawn anew, at
@@ -146,14 +141,14 @@ def _told(fault: Fault) -> str:
     return ("" if fault.view is None else f"view {fault.view}: ") + f"{fault.check}: {fault.message}"
 
 
-def _write_scene(maker: Maker, streams: Streams, work: Path, watch: Stopwatch) -> list[Fault]:
+def _write_scene(maker: SceneMaker, streams: Streams, work: Path, watch: Stopwatch) -> list[Fault]:
     """Draw and render a scene into a folder, view by view; return the faults of the first view that has any."""
     record = _draw(maker, streams)
     # What is imported is taken as it is.
     faults = [] if maker.config.kind == "imported" else contact_faults(record.scene, maker.library)
     if faults:
         return faults
-    shoot = Shoot(
+    setup = SceneSetup(
         maker.backend,
         record.scene,
         record.rig,
@@ -164,7 +159,7 @@ def _write_scene(maker: Maker, streams: Streams, work: Path, watch: Stopwatch) -
     thumbnails, brightnesses = [], []
     before: ViewData | None = None
     for number in range(len(record.scene.cameras)):
-        rendered = render_view(shoot, number, watch)
+        rendered = render_view(setup, number, watch)
         path = work / view_file(number)
         write_view(path, rendered.data)
         record = record.model_copy(update={"views": (*record.views, _view_record(record.scene, path, rendered))})
@@ -198,7 +193,7 @@ def contact_faults(scene: SceneSpec, library: AssetLibrary) -> list[Fault]:
     return [Fault(scene.index, None, "contacts", message) for message in told]
 
 
-def _draw(maker: Maker, streams: Streams) -> SceneRecord:
+def _draw(maker: SceneMaker, streams: Streams) -> SceneRecord:
     """Draw a scene, its rig and its lighting conditions: a record without views, and with nothing metered."""
     scene, rig = sample_scene(maker.config, maker.library, streams)
     return SceneRecord(

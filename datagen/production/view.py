@@ -21,7 +21,7 @@ Stacks = dict[str, LayerStack]
 
 
 @dataclass(frozen=True)
-class Shoot:
+class SceneSetup:
     """What all views of a scene share. `denoise`: clean each layer; `keep_raw`: keep what was rendered as well."""
 
     backend: Backend
@@ -43,28 +43,28 @@ class RenderedView:
     residuals: dict[str, Residuals]
 
 
-def render_view(shoot: Shoot, view: int, watch: Stopwatch) -> RenderedView:
+def render_view(setup: SceneSetup, view: int, watch: Stopwatch) -> RenderedView:
     """Render and denoise all variants of a view."""
 
     def render(variant: str) -> LayerStack:
         with watch.stage("render"):
-            return shoot.backend.render(RenderJob(shoot.scene, shoot.rig, shoot.settings, view, variant))
+            return setup.backend.render(RenderJob(setup.scene, setup.rig, setup.settings, view, variant))
 
-    names = shoot.scene.insertable
+    names = setup.scene.insertable
     everything = render("all")
     assert everything.geometry is not None
     foregrounds = _within_pixels({name: render(f"foreground_{name}") for name in names})
     without = {name: render(f"without_{name}") for name in names}
     raw = _as_rendered(everything, without, foregrounds)
     variants, residuals = raw, dict[str, Residuals]()
-    if shoot.denoise:
+    if setup.denoise:
         with watch.stage("denoise"):
-            variants, residuals = _denoised(everything, without, foregrounds, threads=max(1, shoot.settings.threads))
+            variants, residuals = _denoised(everything, without, foregrounds, threads=max(1, setup.settings.threads))
     coverage = {name: stack.coverage for name, stack in foregrounds.items() if stack.coverage is not None}
     free = np.clip(1.0 - sum(coverage.values()), 0.0, 1.0)
     geometry = replace(everything.geometry, environment=np.minimum(everything.geometry.environment, free))
-    kept = raw if shoot.denoise and shoot.keep_raw else {}
-    data = ViewData(shoot.rig.names, variants, coverage, geometry, everything.combined, kept)
+    kept = raw if setup.denoise and setup.keep_raw else {}
+    data = ViewData(setup.rig.names, variants, coverage, geometry, everything.combined, kept)
     whole = {"all": everything} | {f"without_{name}": stack for name, stack in without.items()}
     energy = {variant: layer_energies(stack) for variant, stack in whole.items()}
     return RenderedView(data, additivity_residual(everything), energy, residuals)

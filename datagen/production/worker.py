@@ -17,7 +17,7 @@ from multilight.datagen.backends.protocol import BackendError
 from multilight.datagen.config.dataset import DatasetConfig, RendererName
 from multilight.datagen.errors import RunStoppedError, UserError
 from multilight.datagen.production.library import open_library
-from multilight.datagen.production.scene import Maker, make_scene
+from multilight.datagen.production.scene import SceneMaker, make_scene
 from multilight.scenes.assets.cache import tell_thrown_away
 
 
@@ -39,7 +39,7 @@ def log_path(root: Path, index: int) -> Path:
 
 
 @cache
-def _maker(setup: WorkerSetup) -> Maker:
+def _maker(setup: WorkerSetup) -> SceneMaker:
     """Open the renderer, once for all scenes of this process; raises `RunStoppedError` where it cannot start."""
     threading.Thread(target=_die_with, args=(setup.parent,), daemon=True).start()
     library = open_library(setup.config, setup.asset_folders)
@@ -50,7 +50,7 @@ def _maker(setup: WorkerSetup) -> Maker:
         raise RunStoppedError(str(error)) from error
     # Blender's own clean-up at exit now and then waits for ever on its sound thread; all that matters is on disk.
     atexit.register(os._exit, 0)
-    return Maker(setup.config, setup.renderer, setup.root, library, backend, setup.threads)
+    return SceneMaker(setup.config, setup.renderer, setup.root, library, backend, setup.threads)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 import contextlib
 import hashlib
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -16,6 +15,7 @@ from multilight.datagen.storage.packed import PackedView, pack_view, read_packed
 from multilight.datagen.storage.records import SceneRecord, view_file
 from multilight.datagen.storage.source import DatasetSource, open_dataset
 from multilight.datagen.storage.store import file_sha256
+from multilight.scenes.assets.cache import default_cache
 from multilight.scenes.files.whole import write_whole
 
 VISIBLE = "visible.parquet"
@@ -144,8 +144,7 @@ def _seen_before(source: DatasetSource) -> pl.DataFrame:
     """Return the rows of all chosen scenes, from the cache where they have been seen before."""
     state = f"{source.address}\n{source.record.canonical_json()}\n{source.table.to_dicts()}"
     key = hashlib.sha256(state.encode()).hexdigest()[:32]
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    cache = home / "multilight" / f"visible-{key}.parquet"
+    cache = default_cache() / f"visible-{key}.parquet"
     if cache.is_file():
         return _read_visible(cache)
     rows = [

@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +16,7 @@ from multilight.datagen.storage.source import open_dataset
 from multilight.datagen.storage.store import ViewData
 from multilight.datagen.tuples import compose
 from multilight.datagen.tuples.exposure import meter_condition, thumbnail
+from multilight.datagen.tuples.request import MixRequest
 from multilight.datagen.tuples.sheet import effect_picture
 from multilight.lights.conditions import random_condition
 from multilight.lights.display.tonemap import to_display
@@ -26,21 +26,9 @@ from multilight.scenes.files.limits import read_text, shown
 from multilight.scenes.streams import Streams
 
 
-@dataclass(frozen=True)
-class MixRequest:
-    """Which picture: a view of a scene, what to make of it, and the lighting of base and inserted object."""
-
-    address: str
-    scene: int
-    view: int
-    what: str
-    condition: str
-    insert_condition: str
-    object: str | None
-
-
-def write_mix(request: MixRequest, out: Path) -> None:
+def write_mix(request: MixRequest) -> None:
     """Make the picture and write it; raises `UserError` naming the value and those allowed."""
+    out, what = request.out, request.what or ("composite" if request.insert_condition else "target")
     if out.suffix not in (".png", ".exr"):
         raise UserError(f"--out {out}: the suffix must be .png or .exr")
     source = open_dataset(request.address)
@@ -55,14 +43,14 @@ def write_mix(request: MixRequest, out: Path) -> None:
         raise UserError(f"--object {name} is not insertable; choose one of {list(record.scene.insertable)}")
     view = source.view(record, request.view)
     base = find_condition(request.condition, record, view)
-    insert = find_condition(request.insert_condition, record, view)
-    picture = _picture(request.what, view, name, insert, base)
+    insert = find_condition(request.insert_condition or request.condition, record, view)
+    picture = _picture(what, view, name, insert, base)
     with written(out) as work:
         if out.suffix == ".exr":
             header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
             OpenEXR.File(header, {"RGB": np.ascontiguousarray(picture)}).write(str(work))
         else:
-            shown = effect_picture(picture) if request.what == "effect" else to_display(picture)
+            shown = effect_picture(picture) if what == "effect" else to_display(picture)
             Image.fromarray(shown).save(work)
 
 

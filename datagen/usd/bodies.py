@@ -7,34 +7,15 @@ from typing import Any
 import numpy as np
 from pxr import Gf, Sdf, UsdGeom, UsdShade, Vt
 
-from multilight.datagen.errors import UserError
 from multilight.datagen.storage.records import AssetCredit
 from multilight.datagen.usd.layout import own
 from multilight.datagen.usd.materials import Materials
 from multilight.lights.spec import EmissiveLight
 from multilight.scenes.arrays import Float32, Int64
-from multilight.scenes.assets.library import AssetLibrary
-from multilight.scenes.meshes import MeshPart, rectangle_part, sphere_part
+from multilight.scenes.meshes import MeshPart
 from multilight.scenes.spec import Body, MeshAsset, Rectangle, Sphere
 
 _TYPES = Sdf.ValueTypeNames
-
-
-def body_parts(body: Body, library: AssetLibrary) -> tuple[MeshPart, ...]:
-    """Return a body's triangles by part, in its own frame; raises `UserError` where its model has changed since."""
-    match body.geometry:
-        case Sphere() as shape:
-            return (sphere_part(shape, body.materials[0]),)
-        case Rectangle() as shape:
-            return (rectangle_part(shape, body.materials[0]),)
-        case MeshAsset() as shape:
-            mesh = library.mesh(shape.asset)
-            if mesh.sha256() != shape.mesh_sha256:
-                raise UserError(
-                    f"asset {shape.asset!r} of body {body.name!r} has changed since the scene was made; install the "
-                    "packs it was made with, or make the scene again"
-                )
-            return mesh.parts
 
 
 def add_body(

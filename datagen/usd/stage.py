@@ -6,9 +6,10 @@ from typing import Any
 
 from pxr import Sdf, Usd, UsdGeom
 
+from multilight.datagen.backends.parts import body_parts, glowing_parts
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.usd import layout as words
-from multilight.datagen.usd.bodies import add_body, body_parts, credit
+from multilight.datagen.usd.bodies import add_body, credit
 from multilight.datagen.usd.cameras import add_camera, add_render_settings
 from multilight.datagen.usd.files import Files
 from multilight.datagen.usd.gains import Dial
@@ -26,7 +27,8 @@ STAGE = "scene.usdc"
 def write_stage(record: SceneRecord, library: AssetLibrary, folder: Path) -> Path:
     """Write a scene's stage and its pictures into a folder; return the stage's path.
 
-    Raises `AssetError` where an asset is missing, `UserError` where one has changed since the scene was made.
+    Raises `AssetError` where an asset is missing, `BackendError` where one has changed since the scene was made, or a
+    light names no part of it.
     """
     path = folder / STAGE
     stage = Usd.Stage.CreateNew(str(path))
@@ -64,13 +66,10 @@ def _add_bodies(
     """Write all bodies; return the path of each part by body and number."""
     credits = {asset.id: asset for asset in record.assets}
     places: dict[tuple[str, int], str] = {}
+    glowing = glowing_parts(record.scene, record.rig)
     for body in record.scene.bodies:
         path = f"{words.BODIES}/{body.name}"
-        glows = {
-            light.part: light
-            for light in record.rig.lights
-            if isinstance(light, EmissiveLight) and light.body == body.name
-        }
+        glows = {part: light for (name, part), light in glowing.items() if name == body.name}
         parts = add_body(stage, path, body, body_parts(body, library), materials=materials, glows=glows)
         places |= {(body.name, part): place for part, place in parts.items()}
         if isinstance(body.geometry, MeshAsset) and body.geometry.asset in credits:

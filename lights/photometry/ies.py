@@ -14,12 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from multilight.scenes.arrays import Float64
+from multilight.scenes.errors import MultilightError
 
 SAMPLES = 181
 """Angles of a profile: one a degree, 0 to 180."""
 
 
-class IesError(ValueError):
+class IesError(MultilightError, ValueError):
     """An IES file cannot be used: names the file, what is wrong, and what is read."""
 
 

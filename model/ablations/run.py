@@ -5,37 +5,33 @@ network of the 2D stage, or the 3D stage on given 2D weights. All variants of a 
 long, and are averaged alike; none is chosen by how well it does.
 """
 
-import copy
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
 
 import numpy as np
 from torch import nn
 
+from multilight.datagen.config.loading import Values, joined, validated
 from multilight.datagen.errors import UserError
 from multilight.datagen.files.outputs import check_folder
 from multilight.datagen.storage.source import open_dataset
 from multilight.datagen.storage.store import write_text
-from multilight.model.configs.stage2d import NETWORKS, TrainingConfig, validated
+from multilight.model.ablations.settings import AblationSettings
+from multilight.model.configs.stage2d import NETWORKS, TrainingConfig
 from multilight.model.configs.stage3d import SLIM3D, SceneTrainingConfig
-from multilight.model.evaluation.cases import CaseSettings, LazyGroup, dataset_groups, with_subset
+from multilight.model.evaluation.cases import LazyGroup, dataset_groups, with_subset
 from multilight.model.evaluation.method3d import SceneMethod
 from multilight.model.evaluation.run import Evaluation, Method, evaluate
+from multilight.model.evaluation.settings import CaseSettings
 from multilight.model.inference.harmonize import chosen_device, network_harmonizer
 from multilight.model.networks.checkpoint import checkpoint_progress, load_network, load_network3d
 from multilight.model.networks.compositing3d import Compositing3D
 from multilight.model.training.stage2d import FINISHED, train
 from multilight.model.training.stage3d import train_scenes
-from multilight.scenes.assets.splits import Split
 from multilight.scenes.files.limits import read_json
 from multilight.scenes.names import slug
-
-Values = dict[str, Any]
-"""Values of a training's configuration; tables are nested."""
-Name = Literal["head", "inputs", "lighting", "scenes", "emissive", "order"]
 
 STEPS = {"head": 400, "inputs": 400, "lighting": 1200, "scenes": 400, "emissive": 400, "order": 300}
 """Steps of each training, unless told otherwise; whether lighting repeats itself shows later than all else."""
@@ -50,29 +46,6 @@ AVERAGED = "2D stage, averaged over views, no network"
 CARRIED = "2D stage, carried by one pixel each, no network"
 GLOW = {"scene glows": "emissive", "scene does not glow": "NOT emissive"}
 """Subsets that the emissive ablation is judged on: their names, and their expressions over the index."""
-
-
-@dataclass(frozen=True)
-class AblationSettings:
-    """What to compare, on what, for how long (`steps` or `minutes` each) and how often (`seeds` trainings each).
-
-    `size` and `batch` are those of the training's pictures; evaluated are at most `groups` objects of each of the
-    `splits`, at that size too. The order of Gaussians needs the 2D stage's weights.
-    """
-
-    name: Name
-    dataset: str
-    out: Path
-    steps: int | None = None
-    minutes: float | None = None
-    seeds: int = 2
-    size: int = 128
-    batch: int = 8
-    splits: tuple[Split, ...] = ("val", "test", "test_ood")
-    groups: int = 32
-    weights_2d: Path | None = None
-    workers: int = 1
-    device: Literal["auto", "cpu", "cuda"] = "auto"
 
 
 @dataclass(frozen=True)
@@ -145,9 +118,9 @@ def stored_lighting(scenes: Sequence[int], count: int, seed: int) -> dict[str, V
     return {
         "drawn for every sample": {},
         f"{count} stored conditions a scene ({count**2} pairs)": fixed,
-        f"{anew}: {all_anew} scenes for the same core-seconds": over(only(order[:all_anew]), fixed),
+        f"{anew}: {all_anew} scenes for the same core-seconds": joined(only(order[:all_anew]), fixed),
         f"drawn for every sample, {fifth} scenes": only(order[:fifth]),
-        f"{anew}: {fifth_anew} scenes for the core-seconds of {fifth}": over(only(order[:fifth_anew]), fixed),
+        f"{anew}: {fifth_anew} scenes for the core-seconds of {fifth}": joined(only(order[:fifth_anew]), fixed),
     }
 
 
@@ -236,21 +209,13 @@ def ablate(settings: AblationSettings, base: Values) -> tuple[list[Run], Evaluat
     runs = []
     for number, (seed, name, values) in enumerate(plans):
         print(f"{number + 1} of {len(plans)}: {name}, seed {seed}", flush=True)
-        runs.append(_trained(settings, name, seed, over(base, values)))
+        runs.append(_trained(settings, name, seed, joined(base, values)))
     return runs, evaluate(groups, _methods(settings, base, runs))
-
-
-def over(base: Values, changes: Values) -> Values:
-    """Lay values over others, table by table; neither is changed."""
-    merged = copy.deepcopy(base)
-    for key, value in changes.items():
-        merged[key] = merged.get(key, {}) | value if isinstance(value, dict) else value
-    return merged
 
 
 def _trained(settings: AblationSettings, name: str, seed: int, values: Values) -> Run:
     folder = settings.out / "runs" / f"{slug(name, '-')}-{seed}"
-    values = over(values, {"out": folder, "seed": seed, "data": {"seed": seed}})
+    values = joined(values, {"out": folder, "seed": seed, "data": {"seed": seed}})
     network: nn.Module
     if settings.name == "order":
         found = train_scenes(validated(values, SceneTrainingConfig, settings.name))
@@ -287,11 +252,11 @@ def _groups(settings: AblationSettings) -> list[LazyGroup]:
     chosen = CaseSettings(settings.splits, settings.groups, size=settings.size)
     if settings.name != "emissive":
         return dataset_groups(settings.dataset, chosen)
-    found: list[LazyGroup] = []
-    for subset, where in GLOW.items():
-        chosen = CaseSettings(settings.splits, settings.groups, size=settings.size, where=where)
-        found += [with_subset(group, subset) for group in dataset_groups(settings.dataset, chosen)]
-    return found
+    return [
+        with_subset(group, subset)
+        for subset, where in GLOW.items()
+        for group in dataset_groups(settings.dataset, chosen, where)
+    ]
 
 
 def _claim(settings: AblationSettings, base: Values) -> None:

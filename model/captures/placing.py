@@ -1,7 +1,6 @@
 """Where the object goes: a pose from a file, or a place on a plane of the capture."""
 
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ from multilight.datagen.errors import UserError
 from multilight.model.captures.assets import Asset
 from multilight.model.captures.capture import Capture
 from multilight.model.captures.planes import find_plane, free_place, scene_centre, scene_up
+from multilight.model.captures.request import Wish
 from multilight.scenes.arrays import Float64
 from multilight.scenes.files.limits import parse_json, read_text
 from multilight.scenes.poses import pose_of
@@ -19,16 +19,6 @@ from multilight.scenes.poses import pose_of
 SHARES = (0.2, 0.15, 0.11, 0.08, 0.06)
 """Share of the pictures' width that the object takes at the scene's centre, unless its scale is given: the first that
 there is room for."""
-
-
-@dataclass(frozen=True)
-class Wish:
-    """What is asked for: a pose file, or the plane; yaw in degrees; units of the capture's length per metre."""
-
-    pose: Path | None = None
-    yaw: float = 0.0
-    scale: float | None = None
-    seed: int = 0
 
 
 def placed(capture: Capture, asset: Asset, wish: Wish) -> Float64:

@@ -2,7 +2,6 @@
 
 import json
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +14,10 @@ from multilight.model.captures.capture import Capture, check_alignment
 from multilight.model.captures.depths import with_depth
 from multilight.model.captures.insert import Harmonized, Inserted, harmonize_capture, insert_object
 from multilight.model.captures.objects import PlacedObject
-from multilight.model.captures.placing import Wish, placed
+from multilight.model.captures.placing import placed
 from multilight.model.captures.planes import scene_up
 from multilight.model.captures.read import read_capture
+from multilight.model.captures.request import Insertion
 from multilight.model.captures.video import orbit_cameras, render_gaussians, write_video
 from multilight.model.inference.harmonize import DEFAULT_WEIGHTS, chosen_device
 from multilight.model.inference.pictures import write_picture
@@ -29,39 +29,25 @@ MOST_SIDE = 2048
 """Cells a side of the largest map: four million Gaussians."""
 
 
-@dataclass(frozen=True)
-class Sources:
-    """What the work is done with: the capture, the object, where depth comes from, the networks' weights."""
-
-    capture: Path
-    asset: str
-    gaussians: Path | None = None
-    depth_model: Path | None = None
-    weights: Path | None = None
-    weights_3d: Path | None = None
-    device: str = "auto"
-
-
-def insert_into_files(
-    sources: Sources, wish: Wish, out: Path, *, max_side: int, every: int, side: int, frames: int
-) -> None:
-    """Insert an object and write composites/, single/, harmonized/, scene.ply, placement.json and orbit.mp4 to `out`.
+def insert_into_files(wanted: Insertion) -> None:
+    """Insert an object and write composites/, single/, harmonized/, scene.ply, placement.json and orbit.mp4.
 
     Raises `UserError` for whatever the user can mend, before the long work where it can be known.
     """
+    out, side, frames = wanted.out, wanted.side, wanted.frames
     if not 0 <= frames <= MOST_FRAMES:
         raise UserError(f"--frames {frames} must be 0 to {MOST_FRAMES}")
     if not 0 < side <= MOST_SIDE or side & (side - 1):
         raise UserError(f"--side {side} must be a power of two of at most {MOST_SIDE}")
     check_folder(out)
-    network = load_network(sources.weights or DEFAULT_WEIGHTS).to(chosen_device(sources.device))
-    stage3d = None if sources.weights_3d is None else load_network3d(sources.weights_3d)
-    asset = load_asset(sources.asset)
-    bare = read_capture(sources.capture, max_side=max_side, every=every)
-    capture = with_depth(bare, sources.gaussians, sources.depth_model)
-    if bare.z_depths is not None or sources.gaussians is not None:
+    network = load_network(wanted.weights or DEFAULT_WEIGHTS).to(chosen_device(wanted.device))
+    stage3d = None if wanted.weights_3d is None else load_network3d(wanted.weights_3d)
+    asset = load_asset(wanted.asset)
+    bare = read_capture(wanted.capture, max_side=wanted.max_side, every=wanted.every)
+    capture = with_depth(bare, wanted.gaussians, wanted.depth_model)
+    if bare.z_depths is not None or wanted.gaussians is not None:
         check_alignment(capture)
-    pose = placed(capture, asset, wish)
+    pose = placed(capture, asset, wanted.place)
     inserted = insert_object(capture, PlacedObject(asset, pose))
     seen = int((inserted.coverage.max(axis=(1, 2)) > 0).sum())
     _tell(f"{len(capture.names)} views of {capture.images.shape[2]} x {capture.images.shape[1]}, object in {seen}")
@@ -70,7 +56,7 @@ def insert_into_files(
     )
     with full_disk_told(out):
         _write(out, capture, inserted, result)
-        placement = {"world_from_asset": pose.tolist(), "asset": sources.asset, "views": list(capture.names)}
+        placement = {"world_from_asset": pose.tolist(), "asset": wanted.asset, "views": list(capture.names)}
         write_text(out / "placement.json", json.dumps(placement, indent=1) + "\n")
         if frames:
             middle = pose[:3, :3] @ [0.0, 0.0, asset.size[2] / 2] + pose[:3, 3]

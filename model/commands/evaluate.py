@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import tyro
 
 from multilight.datagen.errors import UserError
-from multilight.scenes.assets.splits import Split
+from multilight.model.evaluation.settings import CaseSettings
 
 if TYPE_CHECKING:
     from multilight.model.evaluation.cases import LazyGroup
@@ -28,14 +28,7 @@ class Evaluate:
     refine_iterations: tuple[int, ...] = ()
     """Compare the 3D stage also on Gaussians refined on the views for so many iterations, each number a row of its
     own. The paper has 250, 1000 and 10000."""
-    splits: tuple[Split, ...] = ("test", "test_ood")
-    """Splits to evaluate on; each is a subset of the tables."""
-    groups: int = 32
-    """Most objects a split, each in up to four views under one pair of lightings."""
-    seed: int = 0
-    """Seed of the order and the lightings."""
-    size: int = 256
-    """Side of the pictures in pixels."""
+    cases: CaseSettings = field(default_factory=CaseSettings)
     owl: Path | None = None
     """Instead: folder of Objects With Lighting."""
     foscom: Path | None = None
@@ -84,7 +77,7 @@ class Evaluate:
         return 0
 
     def _groups(self) -> "list[LazyGroup]":
-        from multilight.model.evaluation.cases import CaseSettings, dataset_groups
+        from multilight.model.evaluation.cases import dataset_groups
         from multilight.model.evaluation.foscom import foscom_groups
         from multilight.model.evaluation.objects_with_lighting import owl_groups
         from multilight.model.inference.depth import DepthModel
@@ -93,11 +86,11 @@ class Evaluate:
             raise UserError("say what to evaluate on: a dataset (multilight evaluate DIR), --owl DIR or --foscom DIR")
         model = DepthModel.load(self.depth_model) if self.depth_model else None
         if self.owl is not None:
-            return owl_groups(self.owl, model)[: self.groups]
+            return owl_groups(self.owl, model)[: self.cases.groups]
         if self.foscom is not None:
-            return foscom_groups(self.foscom, model)[: self.groups]
+            return foscom_groups(self.foscom, model)[: self.cases.groups]
         assert self.dir is not None
-        return dataset_groups(self.dir, CaseSettings(self.splits, self.groups, self.seed, self.size))
+        return dataset_groups(self.dir, self.cases)
 
     def _about(self, weights: tuple[Path, ...], frames: int) -> dict[str, str]:
         """Say what was evaluated on what."""
@@ -108,5 +101,6 @@ class Evaluate:
         place = str(self.dir or self.owl or self.foscom)
         facts = {"data": place, "frames": str(frames), "torch": torch.__version__, "device": self.device}
         if self.dir is not None:
-            facts |= {"splits": ", ".join(self.splits), "seed": str(self.seed), "size": f"{self.size} x {self.size}"}
+            size = f"{self.cases.size} x {self.cases.size}"
+            facts |= {"splits": ", ".join(self.cases.splits), "seed": str(self.cases.seed), "size": size}
         return facts | {f"weights {path.stem}": file_sha256(path)[:12] for path in weights}

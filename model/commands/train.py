@@ -28,17 +28,18 @@ class Train:
 
     def run(self) -> int:
         """Train and return the exit code."""
-        from multilight.model.configs.stage2d import TrainingConfig, read_values, validated
+        from multilight.datagen.config.loading import read_values, validated
+        from multilight.model.configs.stage2d import TrainingConfig
         from multilight.model.configs.stage3d import SceneTrainingConfig
 
+        values = read_values(self.config)
         given = {"out": self.out, "data.train": self.data, "minutes": self.minutes}
-        values = read_values(self.config, given)
         if "weights_2d" in values:
             from multilight.model.training.stage3d import train_scenes
 
-            train_scenes(validated(values, SceneTrainingConfig, str(self.config)), fresh=self.fresh)
+            train_scenes(validated(values, SceneTrainingConfig, self.config, given), fresh=self.fresh)
         else:
             from multilight.model.training.stage2d import train
 
-            train(validated(values, TrainingConfig, str(self.config)), fresh=self.fresh)
+            train(validated(values, TrainingConfig, self.config, given), fresh=self.fresh)
         return 0

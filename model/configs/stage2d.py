@@ -1,25 +1,19 @@
-"""The typed configuration of the model and of its training, read from TOML; imports no torch."""
+"""The typed configuration of the 2D network and of its training; imports no torch."""
 
-import difflib
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal
 
-from pydantic import ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
-from multilight.datagen.errors import UserError
-from multilight.scenes.files.limits import read_toml, shown
-from multilight.scenes.frozen import Frozen, UnitFloat
+from multilight.scenes.frozen import Settings, UnitFloat
 
 Head = Literal["gain", "residual", "direct"]
 Input = Literal["background", "depth"]
 Positive = Annotated[float, Field(gt=0)]
 
 
-class NetworkConfig(Frozen):
+class NetworkConfig(Settings):
     """The shape of the 2D network; `slim` and `paper` in `NETWORKS` are the two that are used."""
-
-    model_config = ConfigDict(use_attribute_docstrings=True)
 
     stride: Literal[1, 2, 4, 8] = 8
     """Pixels a side of a token; 1 is attention at full resolution."""
@@ -58,10 +52,8 @@ NETWORKS: dict[str, NetworkConfig] = {
 """The presets: ours, and the published network (Lyu et al. 2025, 2D stage), the yardstick."""
 
 
-class DataConfig(Frozen):
+class DataConfig(Settings):
     """What is learnt from."""
-
-    model_config = ConfigDict(use_attribute_docstrings=True)
 
     train: str
     """Folder or fsspec address of the dataset, native or packed."""
@@ -83,10 +75,8 @@ class DataConfig(Frozen):
     """Validation samples, always the same, with stored lighting; 0: no validation."""
 
 
-class LossConfig(Frozen):
+class LossConfig(Settings):
     """What is minimized: effect-weighted error of the pixels + `perceptual` times a distance."""
-
-    model_config = ConfigDict(use_attribute_docstrings=True)
 
     pixels: Literal["mse", "log"] = "log"
     """`mse`: mean squared error. `log`: its logarithm picture by picture, which is the mean PSNR, up to 30 dB."""
@@ -98,23 +88,19 @@ class LossConfig(Frozen):
     """Weight of a pixel that the object does not change, against 1 on the object."""
 
 
-class StageConfig(Frozen):
+class StageConfig(Settings):
     """A stretch of the training with pictures of one size."""
 
-    model_config = ConfigDict(use_attribute_docstrings=True)
-
     until: UnitFloat = 1.0
-    """Share of the training at which the stretch ends; that of the last must be 1."""
+    """Fraction of the training at which the stretch ends; that of the last must be 1."""
     size: Annotated[int, Field(ge=16, le=4096, json_schema_extra={"unit": "px"})] = 256
     """Side of the pictures."""
     batch: Annotated[int, Field(ge=1, le=65536)] = 8
     """Pictures a step, over all processes together."""
 
 
-class TrainingConfig(Frozen):
+class TrainingConfig(Settings):
     """A training of the 2D network. Equal configurations give equal weights on the same machine (with `steps`)."""
-
-    model_config = ConfigDict(use_attribute_docstrings=True)
 
     out: Path
     """Folder of checkpoints, logs, sample pictures and the finished weights."""
@@ -133,7 +119,7 @@ class TrainingConfig(Frozen):
     learning_rate: Positive = 1e-3
     """Largest learning rate."""
     final_rate: UnitFloat = 0.02
-    """Learning rate at the end, as a share of the largest."""
+    """Learning rate at the end, as a fraction of the largest."""
     warmup: Annotated[int, Field(ge=0)] = 100
     """Steps in which the learning rate rises to its largest."""
     betas: tuple[UnitFloat, UnitFloat] = (0.9, 0.95)
@@ -177,66 +163,3 @@ class TrainingConfig(Frozen):
         if ends != sorted(ends) or ends[-1] != 1.0 or ends[0] <= 0:
             raise ValueError(f"stages must end in ascending order, the last at 1; got until = {ends}")
         return self
-
-
-Config = TypeVar("Config", bound=TrainingConfig)
-
-
-def load_training_config(path: Path, overrides: dict[str, Any]) -> TrainingConfig:
-    """Read the TOML file of a training of the 2D stage; see `read_values` and `validated`."""
-    return validated(read_values(path, overrides), TrainingConfig, str(path))
-
-
-def read_values(path: Path, overrides: dict[str, Any]) -> dict[str, Any]:
-    """Read a TOML file and lay the command line's values over it (dotted keys; None where not given).
-
-    Relative paths in the file are relative to the working directory. Raises `UserError` naming the file.
-    """
-    try:
-        values = read_toml(path)
-    except FileNotFoundError:
-        raise UserError(f"configuration file {path} does not exist") from None
-    except (OSError, ValueError) as error:
-        raise UserError(f"configuration file {path} cannot be read as TOML: {error}") from None
-    for key, value in overrides.items():
-        if value is not None:
-            table, _, name = key.rpartition(".")
-            place = values.setdefault(table, {}) if table else values
-            place[name] = value
-    return values
-
-
-def validated(values: dict[str, Any], kind: type[Config], source: str) -> Config:
-    """Validate a training's values; raises `UserError` with the file, the key, the value and what is allowed."""
-    try:
-        return kind.model_validate(values)
-    except ValidationError as error:
-        raise UserError(_describe(error, source, kind)) from None
-
-
-def training_keys(model: type[Frozen] = TrainingConfig, prefix: str = "") -> Iterator[str]:
-    """List every key of the configuration, nested ones with dots."""
-    for name, field in model.model_fields.items():
-        kind = StageConfig if name == "stages" else field.annotation
-        if isinstance(kind, type) and issubclass(kind, Frozen):
-            yield from training_keys(kind, f"{prefix}{name}.")
-        else:
-            yield prefix + name
-
-
-def _describe(error: ValidationError, source: str, kind: type[Frozen]) -> str:
-    """Put a validation error into one line: source, key, value and what is allowed, or the key that was meant."""
-    first = error.errors()[0]
-    key = ".".join(str(part) for part in first["loc"] if not isinstance(part, int)) or "configuration"
-    if first["type"] == "missing":
-        return f"{source}: {key} is missing"
-    if first["type"] != "extra_forbidden":
-        value = f" = {shown(first['input'])}" if not isinstance(first["input"], dict) else ""
-        return f"{source}: {key}{value}: {first['msg']}"
-    known = list(training_keys(kind))
-    lasts = {name.rpartition(".")[2]: name for name in reversed(known)}
-    close = difflib.get_close_matches(key, known, n=1) or [
-        lasts[name] for name in difflib.get_close_matches(key.rpartition(".")[2], lasts, n=1)
-    ]
-    hint = f"did you mean {close[0]!r}? " if close else ""
-    return f"{source}: unknown key {key!r}; {hint}known keys: {', '.join(known)}"

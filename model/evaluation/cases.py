@@ -17,6 +17,7 @@ from multilight.model.data.dataset import MultiLightDataset, make_samples
 from multilight.model.data.lighting import lit_conditions
 from multilight.model.data.plan import Draw
 from multilight.model.data.settings import SampleSettings
+from multilight.model.evaluation.settings import CaseSettings
 from multilight.scenes.appearance import is_mirror, material_class
 from multilight.scenes.arrays import Float32, Mask
 from multilight.scenes.assets.splits import Split
@@ -69,21 +70,8 @@ LazyGroup = Callable[[], Group]
 """A group that is read when it is called for."""
 
 
-@dataclass(frozen=True)
-class CaseSettings:
-    """Which tuples: scenes of the `splits`, at most `groups` objects a split, drawn with `seed`, `size` pixels a
-    side; of those scenes that the SQL expression `where` over the dataset's index chooses.
-    """
-
-    splits: tuple[Split, ...] = ("test", "test_ood")
-    groups: int = 32
-    seed: int = 0
-    size: int = 256
-    where: str | None = None
-
-
-def dataset_groups(address: str | Path, settings: CaseSettings) -> list[LazyGroup]:
-    """Open a dataset's tuples; the same ones whenever settings are the same.
+def dataset_groups(address: str | Path, settings: CaseSettings, where: str | None = None) -> list[LazyGroup]:
+    """Open a dataset's tuples, or those of the scenes that an SQL expression over its index chooses.
 
     Lighting is drawn as in training, without augmentation. Raises `UserError` where none of the splits holds a scene.
     """
@@ -91,7 +79,7 @@ def dataset_groups(address: str | Path, settings: CaseSettings) -> list[LazyGrou
     reasons = []
     for split in settings.splits:
         try:
-            found += _split_groups(address, split, settings)
+            found += _split_groups(address, split, settings, where)
         except UserError as error:
             reasons.append(str(error))
     if not found:
@@ -109,10 +97,8 @@ def with_subset(load: LazyGroup, name: str) -> LazyGroup:
     return named
 
 
-def _split_groups(address: str | Path, split: Split, settings: CaseSettings) -> list[LazyGroup]:
-    first = SampleSettings(
-        size=settings.size, seed=settings.seed, split=split, where=settings.where, length=1, augment=False
-    )
+def _split_groups(address: str | Path, split: Split, settings: CaseSettings, where: str | None) -> list[LazyGroup]:
+    first = SampleSettings(size=settings.size, seed=settings.seed, split=split, where=where, length=1, augment=False)
     index = open_training(address, where=first.filter()).index
     if not len(index):
         raise UserError(f"no scene of split {split!r}")

@@ -2,7 +2,6 @@
 
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +12,7 @@ from torch.nn.functional import interpolate
 from multilight.datagen.errors import UserError
 from multilight.datagen.files.outputs import check_file
 from multilight.model.inference.depth import DepthModel, depth_from_metres, guessed_depth
+from multilight.model.inference.files import Files
 from multilight.model.inference.pictures import read_depth, read_mask, read_picture, write_picture
 from multilight.model.networks.checkpoint import load_network
 from multilight.model.networks.compositing2d import Compositing2D, apply_gains, soft_mask
@@ -28,17 +28,6 @@ OVERLAP = 64
 """Pixels that neighbouring tiles share; across them, one fades into the other."""
 ALIGNED = 0.1
 """Mean difference of composite and background beyond the object, as displayed, from which on they look misaligned."""
-
-
-@dataclass(frozen=True)
-class Files:
-    """One's own pictures, all of one size; the depth is measured, or estimated by a model, or guessed."""
-
-    composite: Path
-    background: Path
-    mask: Path
-    depth: Path | None = None
-    depth_model: Path | None = None
 
 
 def harmonize_files(files: Files, weights: Path, out: Path, device: str = "auto") -> None:

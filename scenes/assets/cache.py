@@ -27,9 +27,10 @@ _sound: set[Path] = set()
 
 
 def default_cache() -> Path:
-    """Return `$MULTILIGHT_CACHE`, else `~/.cache/multilight`."""
-    chosen = os.environ.get("MULTILIGHT_CACHE")
-    return Path(chosen).expanduser() if chosen else Path.home() / ".cache" / "multilight"
+    """Return `$MULTILIGHT_CACHE`, else `multilight` in `$XDG_CACHE_HOME` or `~/.cache`."""
+    if chosen := os.environ.get("MULTILIGHT_CACHE"):
+        return Path(chosen).expanduser()
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "multilight"
 
 
 def write_once(path: Path, write: Callable[[Path], None]) -> Path:

@@ -12,8 +12,8 @@ import OpenEXR
 from multilight.scenes.arrays import Float32
 from multilight.scenes.assets.cache import write_once
 from multilight.scenes.assets.info import AssetError, AssetInfo
+from multilight.scenes.assets.packs.pack import Pack
 from multilight.scenes.files.limits import LimitError, check_file, check_pixels
-from multilight.scenes.meshes import Mesh
 
 LARGEST_HALF = 65504.0
 MOST_CHANNELS = 64
@@ -166,7 +166,7 @@ def decode_pmndrs(script: str) -> bytes:
     return base64.b64decode(match[1])
 
 
-class PmndrsPack:
+class PmndrsPack(Pack):
     """The fetched maps of `@pmndrs/assets`; `folder` holds one cleaned EXR file a map."""
 
     def __init__(self, name: str, folder: Path) -> None:
@@ -184,15 +184,3 @@ class PmndrsPack:
         if not self._file(name).is_file():
             raise AssetError(f"{self._file(name)} is missing; run `multilight assets fetch {self.name}`")
         return self._file(name)
-
-    def mesh_key(self, name: str) -> str:
-        """Raise: there are no models here."""
-        raise AssetError(f"{self.name}/{name} is not a model")
-
-    def mesh(self, name: str) -> Mesh:
-        """Raise: there are no models here."""
-        raise AssetError(f"{self.name}/{name} is not a model")
-
-    def texture(self, name: str) -> Path:
-        """Raise: there are no textures here."""
-        raise AssetError(f"{self.name}/{name} is not a texture")

@@ -32,8 +32,9 @@ TIMEOUT = 1800.0
 
 @dataclass(frozen=True)
 class Source:
-    """Where a pack comes from; `sha256` is the archive's at the pinned version."""
+    """What a pack holds and where it comes from; `sha256` is the archive's at the pinned version."""
 
+    holds: Literal["furniture", "maps", "textures"]
     manager: Literal["apt", "pip", "npm"]
     package: str
     version: str
@@ -43,6 +44,7 @@ class Source:
 
 SOURCES: dict[str, Source] = {
     "sweethome3d": Source(
+        "furniture",
         "apt",
         "sweethome3d-furniture",
         "1.8-1",
@@ -50,6 +52,7 @@ SOURCES: dict[str, Source] = {
         "CC0-1.0 and CC-BY-3.0, by model",
     ),
     "hdri-pmndrs": Source(
+        "maps",
         "npm",
         "@pmndrs/assets",
         "1.7.0",
@@ -57,6 +60,7 @@ SOURCES: dict[str, Source] = {
         "CC0-1.0",
     ),
     "textures-miniworld": Source(
+        "textures",
         "pip",
         "miniworld",
         "2.1.0",
@@ -64,6 +68,7 @@ SOURCES: dict[str, Source] = {
         "Apache-2.0",
     ),
     "textures-metaworld": Source(
+        "textures",
         "pip",
         "metaworld",
         "3.1.1",
@@ -118,7 +123,7 @@ def fetch_pack(name: str, cache: Path | None = None) -> Path:
         staging.mkdir(parents=True)
         installed = _installed_furniture() if source.manager == "apt" else None
         if installed is not None:
-            _write_record(staging, source, version="installed", sha256="", folder_of_files=installed)
+            _write_record(staging, source, version="installed", sha256="", files=installed)
         else:
             _download_and_unpack(name, source, staging)
         if target.exists() and not _is_whole(name, cache):
@@ -138,25 +143,17 @@ def _installed_furniture() -> Path | None:
     return folder if all((folder / f"{library}.sh3f").is_file() for library in LICENCES) else None
 
 
-def _write_record(folder: Path, source: Source, *, version: str, sha256: str, folder_of_files: Path) -> None:
-    write_json(
-        folder / "pack.json",
-        {
-            "package": source.package,
-            "version": version,
-            "sha256": sha256,
-            "licence": source.licence,
-            "folder": str(folder_of_files),
-        },
-    )
+def _write_record(folder: Path, source: Source, *, version: str, sha256: str, files: Path) -> None:
+    about = {"package": source.package, "version": version, "sha256": sha256, "licence": source.licence}
+    write_json(folder / "pack.json", about | {"folder": str(files)})
 
 
 def _download_and_unpack(name: str, source: Source, staging: Path) -> None:
     download: dict[str, Callable[[Source, Path], None]] = {"apt": _apt, "pip": _pip, "npm": _npm}
     unpack: dict[str, Callable[[str, Path, Path], None]] = {
-        "apt": _unpack_furniture,
-        "pip": _unpack_textures,
-        "npm": _unpack_maps,
+        "furniture": _unpack_furniture,
+        "maps": _unpack_maps,
+        "textures": _unpack_textures,
     }
     with tempfile.TemporaryDirectory(dir=staging.parent, prefix=f".{name}-") as folder:
         scratch = Path(folder)
@@ -169,10 +166,10 @@ def _download_and_unpack(name: str, source: Source, staging: Path) -> None:
         if version == source.version and digest != source.sha256:
             raise AssetError(f"{archive.name} has SHA-256 {digest}, expected {source.sha256}; not unpacked")
         try:
-            unpack[source.manager](name, archive, staging)
+            unpack[source.holds](name, archive, staging)
         except (zipfile.BadZipFile, tarfile.TarError, KeyError, UnicodeDecodeError) as error:
             raise AssetError(f"{archive.name} cannot be unpacked: {error}") from error
-    _write_record(staging, source, version=version, sha256=digest, folder_of_files=Path("."))
+    _write_record(staging, source, version=version, sha256=digest, files=Path("."))
 
 
 def run_client(command: list[str], folder: Path, *, what: str) -> str:

@@ -3,10 +3,12 @@
 from dataclasses import dataclass
 from typing import Literal
 
+from multilight.scenes.errors import MultilightError
+
 AssetRole = Literal["object", "table", "surrounding", "environment", "texture"]
 
 
-class AssetError(RuntimeError):
+class AssetError(MultilightError):
     """An asset is missing or broken: names the asset, the file and the remedy."""
 
 

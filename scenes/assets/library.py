@@ -3,12 +3,11 @@
 import contextlib
 import copy
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import Protocol
 
-from multilight.scenes.assets import derived_maps as derived
+from multilight.scenes.assets import derived_maps
 from multilight.scenes.assets.builtin.pack import BuiltinPack
 from multilight.scenes.assets.cache import default_cache, read_kept
 from multilight.scenes.assets.environments import PmndrsPack
@@ -16,38 +15,13 @@ from multilight.scenes.assets.fetch import SOURCES, is_fetched, pack_folder, pac
 from multilight.scenes.assets.info import AssetError, AssetInfo, AssetRole
 from multilight.scenes.assets.packs.background import BackgroundPack
 from multilight.scenes.assets.packs.folder import FolderPack
+from multilight.scenes.assets.packs.pack import Pack
 from multilight.scenes.assets.packs.surfaces import SurfacePack
 from multilight.scenes.assets.packs.sweethome3d import SweetHome3dPack
 from multilight.scenes.assets.splits import Split, in_split
 from multilight.scenes.meshes import Mesh, load_mesh, save_mesh
 
 __all__ = ["AssetError", "AssetInfo", "AssetLibrary", "AssetRole"]
-
-
-class Pack(Protocol):
-    """A set of assets under one name. Names of assets are given without the `pack/` in front."""
-
-    name: str
-
-    def infos(self) -> Sequence[AssetInfo]:
-        """List the pack's assets; quick, opens no model."""
-        ...
-
-    def mesh_key(self, name: str) -> str:
-        """Hash what a model's conversion depends on (file and code), quickly."""
-        ...
-
-    def mesh(self, name: str) -> Mesh:
-        """Convert a model; raises `AssetError` naming the broken file."""
-        ...
-
-    def texture(self, name: str) -> Path:
-        """Return the file of a texture; raises `AssetError` where there is none."""
-        ...
-
-    def environment(self, name: str) -> Path:
-        """Return the file of an environment map; raises `AssetError` where there is none."""
-        ...
 
 
 def _open(name: str, cache: Path) -> Pack:
@@ -60,19 +34,19 @@ def _open(name: str, cache: Path) -> Pack:
         raise AssetError(f"pack {name!r} is not installed; run `multilight assets fetch {name}`")
     record = pack_record(name, cache)
     folder = pack_folder(name, cache) / record.get("folder", ".")
-    match SOURCES[name].manager:
-        case "apt":
+    match SOURCES[name].holds:
+        case "furniture":
             return SweetHome3dPack(folder, cache)
-        case "npm":
+        case "maps":
             return PmndrsPack(name, folder)
-        case "pip":
+        case "textures":
             return SurfacePack(name, folder, cache, SOURCES[name].licence)
 
 
 class AssetLibrary:
     """All installed assets, in a fixed order.
 
-    `cache` holds fetched packs and converted meshes (default: `$MULTILIGHT_CACHE`, else `~/.cache/multilight`).
+    `cache` holds fetched packs and converted meshes (default: see `default_cache`).
     `packs` are the names of the packs to use (default: `builtin` and every fetched one); `folders` are the
     user's own folders of models, each a pack under its folder's name; `background` is a GLB, glTF or USD scene.
     `broken` fills with what was asked for and could not be read: asset id → reason. Raises `AssetError` for a pack
@@ -114,7 +88,7 @@ class AssetLibrary:
         """Return a view that lists, and hands out, only what scenes of a split may show (see `assets.splits`)."""
         view = copy.copy(self)
         view.split = split
-        view.__dict__["_infos"] = {asset: info for asset, info in self._infos.items() if in_split(info, split)}
+        view._infos = {asset: info for asset, info in self._infos.items() if in_split(info, split)}
         return view
 
     def list(self, role: AssetRole) -> tuple[AssetInfo, ...]:
@@ -156,8 +130,8 @@ class AssetLibrary:
         `#normal` or `#roughness` behind an id asks for the map derived from that picture.
         """
         source, _, kind = image.rpartition("#")
-        if kind in derived.MAPS and source:
-            return derived.derived_map(self.texture_path(source), kind, self.cache)
+        if kind in derived_maps.MAPS and source:
+            return derived_maps.derived_map(self.texture_path(source), kind, self.cache)
         pack, name = self._pack(image)
         with self._noting(image):
             return pack.texture(name)

@@ -11,7 +11,7 @@ so two datasets made on two machines do not leak into one another either. What c
 Shared by all splits are a background scene of one's own, textures of surfaces, gobos, light profiles, skies by
 formula, and the fittings of a room (built-in surroundings and `FITTINGS`): never what is inserted.
 
-A scene's split follows from (dataset seed, index), evenly spread, with the shares of the configuration.
+A scene's split follows from (dataset seed, index), evenly spread, with the weights of the configuration.
 """
 
 import hashlib
@@ -25,7 +25,7 @@ Split = Literal["train", "val", "test", "test_ood"]
 SPLITS: tuple[Split, ...] = ("train", "val", "test", "test_ood")
 
 ASSET_SHARES: dict[Split, float] = {"train": 0.64, "val": 0.12, "test": 0.12, "test_ood": 0.12}
-"""Expected shares of the identities; fixed, since what they hold out must stay held out."""
+"""Expected fractions of the identities; fixed, since what they hold out must stay held out."""
 KEYS: dict[AssetRole, str] = {
     "environment": "place 1237",
     "object": "object 1183",
@@ -99,7 +99,7 @@ def in_split(info: AssetInfo, split: Split) -> bool:
 
 
 def scene_split(seed: int, index: int, shares: SplitShares) -> Split:
-    """Return the split of a scene; any run of consecutive scenes holds the shares as nearly as it can."""
+    """Return the split of a scene; any run of consecutive scenes holds the weights as nearly as it can."""
     return shares.at(scene_place(seed, index)[0])
 
 

@@ -9,21 +9,21 @@ from multilight.scenes.cameras.pinhole import camera_from_lens, focal_length_mm,
 from multilight.scenes.poses import box_centre, direction_from
 from multilight.scenes.spec import Camera
 
-SHARE = 0.6
-"""Share of the scenes whose last views move in."""
+MOVES_IN = 0.6
+"""Probability that the last views of a scene move in."""
 SPENT = 0.7
 """Part of the views that need not show everything which moving in takes up."""
 FRAMED = (1.5, 2.4)
 """Radius that the picture's shorter side holds, against that of the object, at the end and at the beginning."""
 CLEAR = 0.4
-"""An object that is moved in on must show this share of its surface, most of its near side."""
+"""An object that is moved in on must show this fraction of its surface, most of its near side."""
 TRIES = 10
 
 
-def closer_views(rng: np.random.Generator, views: int, visible_share: float) -> int:
-    """Draw how many of the last views move in, so that `visible_share` of all can still show everything."""
-    wanted = rng.random() < SHARE
-    return round(SPENT * (1.0 - visible_share) * views) if wanted else 0
+def closer_views(rng: np.random.Generator, views: int, visible: float) -> int:
+    """Draw how many of the last views move in, so that the fraction `visible` of all can still show everything."""
+    wanted = rng.random() < MOVES_IN
+    return round(SPENT * (1.0 - visible) * views) if wanted else 0
 
 
 def move_in(

@@ -1,4 +1,4 @@
-"""The shapes of camera trajectories, before anything is known of what might be in the way.
+"""The shapes of camera trajectories, before anything is known of what might block the view.
 
 A path says for each view where the camera stands as seen from its aim: azimuth, elevation and roll [rad], focal
 length [mm, for a 36 mm sensor], and the radius [m] of the sphere about the aim that the picture's shorter side just
@@ -23,8 +23,37 @@ TrajectoryKind = Literal["approach", "orbit", "handheld", "random"]
 """From distant to close; round the subject; a hand that holds still as best it can; anywhere at all."""
 
 LOWEST, HIGHEST = 0.262, 0.873
-"""Elevation of the cameras [rad]; `random` goes `STEEPER` further up."""
+"""Elevation of the cameras [rad], 15 to 50 degrees: below, an object's front hides what it stands on; above, its top
+all else. `random` goes `STEEPER` further up, 10 degrees."""
 STEEPER = 0.17
+ELEVATION = (20.0, 45.0)
+"""Elevation [degrees] about which an orbit and a hand stay: that of someone who stands or sits at a table."""
+DISTANT_ELEVATION, CLOSE_ELEVATION = (20.0, 42.0), (16.0, 48.0)
+"""Elevation [degrees] where an approach begins and where it ends; from close by one bends down, or over."""
+SWEEP = (50.0, 120.0)
+"""Azimuth [degrees] that an approach covers: enough to see an object's side, not its back."""
+ORBIT, ARC = (0.6, 1.0), (0.7, 1.0)
+"""Fraction of the full circle, and of the open side where walls forbid that, that an orbit covers."""
+ONE_VIEW = 0.6
+"""Place on its path, from 0 to 1, of a trajectory's only view: it shows the whole from nearby."""
+
+# Unrest, as deviations: of angles [rad], of the framed radius (relative), of the aim (over the framed radius).
+SHAKE_ANGLE, SHAKE_ROLL, SHAKE_FRAMED, SHAKE_AIM = 0.012, 0.01, 0.015, 0.02
+"""Of an approach, from view to view: a hand that walks, too little to be seen in one picture."""
+RISE, BREATH = np.radians(4.0), 0.03
+"""Of an orbit's elevation and framed radius: nobody keeps a circle."""
+HAND_AZIMUTH, HAND_ELEVATION, HAND_ROLL, HAND = np.radians(6.0), np.radians(2.5), np.radians(1.2), 0.04
+"""Of a hand at one standpoint, the last of framed radius and aim: larger sideways, as one shifts one's weight."""
+HAND_SLACK, HAND_DRIFT = np.radians(16.0), 0.15
+"""Azimuth that a hand's standpoint leaves free at the sides of the opening; how far it moves in or out (relative)."""
+LEVEL, LOOSE_AIM = np.radians(2.0), 0.06
+"""Of `random`: roll, cut off at twice that, and the aim's greatest distance; wider than by hand, to cover all."""
+ORBIT_FRAMED, HAND_FRAMED = (1.0, 1.5), (1.05, 1.6)
+"""Radius that an orbit and a hand frame, over that of the objects, as far as the table goes: a hand needs a margin."""
+ORBIT_TOWARDS, HAND_TOWARDS, RANDOM_TOWARDS = (0.7, 1.0), (0.6, 1.0), (0.3, 1.0)
+"""Where they aim, from 0 at the table's centre to 1 at that of the objects: mostly at the objects."""
+WAVES = ((0.9, (0.3, 0.8)), (0.8, (0.8, 1.6)), (0.5, (1.6, 2.8)))
+"""Amplitude of the waves that make up a smooth curve, and their cycles over the path: the quicker, the smaller."""
 
 Lens = Annotated[float, Field(ge=12, le=200, json_schema_extra={"unit": "mm"})]
 FNumber = Annotated[float, Field(ge=0.95, le=64)]
@@ -53,9 +82,9 @@ class CameraSettings(Frozen):
     lens_mm: tuple[Lens, Lens] = (24.0, 85.0)
     """Shortest and longest focal length, full-frame equivalent."""
     min_visible_share: UnitFloat = 0.7
-    """Share of the views in which each insertable object is whole in frame and not hidden."""
+    """Fraction of the views in which each insertable object is whole in frame and not hidden."""
     depth_of_field: UnitFloat = 0.0
-    """Share of the scenes whose lens has an aperture; the others are pinholes."""
+    """Fraction of the scenes whose lens has an aperture; the others are pinholes."""
     f_number: tuple[FNumber, FNumber] = (1.8, 8.0)
     """Widest and narrowest aperture, as focal length over its diameter."""
 
@@ -88,7 +117,7 @@ class Framing:
 
 @dataclass(frozen=True)
 class Path:
-    """One row a view: see the module's description; `towards` is 0 where the aim is the table's middle, 1 where it
+    """One row a view: see the module's description; `towards` is 0 where the aim is the table's centre, 1 where it
     is the objects'; `sway` (N, 3) moves the aim, in units of `framed`.
     """
 
@@ -102,7 +131,7 @@ class Path:
 
 
 def choose_trajectory(rng: np.random.Generator, settings: CameraSettings) -> TrajectoryKind:
-    """Draw a kind of trajectory by the shares."""
+    """Draw a kind of trajectory, each as often as the settings say."""
     return settings.trajectories.draw(rng)
 
 
@@ -124,7 +153,7 @@ def draw_path(
 
 
 def camera_on(path: Path, view: int, aims: tuple[Float64, Float64], size: tuple[int, int]) -> Camera:
-    """Place the camera of a view; `aims` are the middles (3,) of the table and of the objects, `size` in pixels."""
+    """Place the camera of a view; `aims` are the centres (3,) of the table and of the objects, `size` in pixels."""
     framed, focal = float(path.framed[view]), float(path.focal[view])
     aim = aims[0] + path.towards[view] * (aims[1] - aims[0]) + framed * path.sway[view]
     azimuth, elevation = path.azimuth[view], path.elevation[view]
@@ -134,60 +163,65 @@ def camera_on(path: Path, view: int, aims: tuple[Float64, Float64], size: tuple[
     return camera_from_lens(pose, width=size[0], height=size[1], focal_length_mm=focal)
 
 
-def _middle_azimuth(rng: np.random.Generator, framing: Framing, sweep: float) -> float:
-    """Draw the middle of a sweep [rad] that keeps to the open side."""
-    if framing.opening >= np.pi / 2:
-        return framing.front + float(rng.uniform(-1.0, 1.0)) * max(0.0, framing.opening - sweep / 2)
+def _midpoint(rng: np.random.Generator, framing: Framing, sweep: float) -> float:
+    """Draw the azimuth [rad] of the midpoint of a sweep that keeps to the open side."""
     slack = max(0.0, framing.opening - sweep / 2)
+    if framing.opening >= np.pi / 2:
+        return framing.front + float(rng.uniform(-1.0, 1.0)) * slack  # the same but for the last bit
     return framing.front + float(rng.uniform(-slack, slack))
 
 
+def _framed(rng: np.random.Generator, framing: Framing, least: float, most: float) -> float:
+    """Draw the radius [m] that is framed: `least` to `most` times the close one, at most the distant one."""
+    return float(framing.close * rng.uniform(least, max(least, min(most, framing.distant / framing.close))))
+
+
 def _steps(views: int) -> Float64:
-    """Return the places of the views along the way, 0 to 1; a single one shows the whole from nearby."""
-    return np.linspace(0.0, 1.0, views) if views > 1 else np.array([0.6])
+    """Return the places of the views along the path, 0 to 1."""
+    return np.linspace(0.0, 1.0, views) if views > 1 else np.array([ONE_VIEW])
 
 
 def _approach(rng: np.random.Generator, framing: Framing, views: int, lens: tuple[float, float]) -> Path:
     """Draw an arc from distant to close, from a wider to a longer lens, with the slight unrest of a hand."""
-    widest = min(np.radians(120.0), 2.0 * framing.opening)
-    sweep = max(np.radians(50.0), framing.narrow * rng.uniform(np.radians(50.0), widest))
-    middle, side = _middle_azimuth(rng, framing, sweep), float(rng.choice([-1.0, 1.0]))
+    least, most = np.radians(SWEEP[0]), min(np.radians(SWEEP[1]), 2.0 * framing.opening)
+    sweep = max(least, framing.narrow * rng.uniform(least, most))
+    midpoint, side = _midpoint(rng, framing, sweep), float(rng.choice([-1.0, 1.0]))
     t = _steps(views)
     # Azimuth runs evenly; the approach starts gently and ends gently.
     ease = 0.5 * t + 0.5 * smoothstep(t)
     usual = float(np.sqrt(lens[0] * lens[1]))
     ends = np.log([rng.uniform(lens[0], usual), rng.uniform(0.9 * usual, lens[1])]).clip(*np.log(lens))
-    elevation = np.radians([rng.uniform(20.0, 42.0), rng.uniform(16.0, 48.0)])
+    elevation = np.radians([rng.uniform(*DISTANT_ELEVATION), rng.uniform(*CLOSE_ELEVATION)])
     shake = rng.normal(0.0, 1.0, (views, 7))
     return Path(
-        azimuth=middle + side * sweep * (t - 0.5) + 0.012 * shake[:, 0],
-        elevation=np.clip(elevation[0] + ease * np.diff(elevation) + 0.012 * shake[:, 1], LOWEST, HIGHEST),
-        roll=0.01 * shake[:, 6],
+        azimuth=midpoint + side * sweep * (t - 0.5) + SHAKE_ANGLE * shake[:, 0],
+        elevation=np.clip(elevation[0] + ease * np.diff(elevation) + SHAKE_ANGLE * shake[:, 1], LOWEST, HIGHEST),
+        roll=SHAKE_ROLL * shake[:, 6],
         focal=np.exp(ends[0] + ease * np.diff(ends)),
-        framed=framing.distant * (framing.close / framing.distant) ** ease * (1.0 + 0.015 * shake[:, 2]),
+        framed=framing.distant * (framing.close / framing.distant) ** ease * (1.0 + SHAKE_FRAMED * shake[:, 2]),
         towards=ease,
-        sway=0.02 * shake[:, 3:6],
+        sway=SHAKE_AIM * shake[:, 3:6],
     )
 
 
 def _orbit(rng: np.random.Generator, framing: Framing, views: int, lens: tuple[float, float]) -> Path:
-    """Draw a way round the subject at one distance, rising and sinking a little; all round where nothing forbids."""
+    """Draw a path round the subject at one distance, rising and sinking a little; all round where nothing forbids."""
     if framing.opening > 0.99 * np.pi:
         # The last view of a full circle is not the first again.
-        sweep = framing.narrow * 2.0 * np.pi * (views - 1) / views * rng.uniform(0.6, 1.0)
+        sweep = framing.narrow * 2.0 * np.pi * (views - 1) / views * rng.uniform(*ORBIT)
     else:
-        sweep = framing.narrow * 2.0 * framing.opening * rng.uniform(0.7, 1.0)
-    middle, side = _middle_azimuth(rng, framing, sweep), float(rng.choice([-1.0, 1.0]))
+        sweep = framing.narrow * 2.0 * framing.opening * rng.uniform(*ARC)
+    midpoint, side = _midpoint(rng, framing, sweep), float(rng.choice([-1.0, 1.0]))
     t = _steps(views)
-    height = np.radians(rng.uniform(20.0, 45.0)) + np.radians(4.0) * _wander(rng, t)
-    framed = framing.close * rng.uniform(1.0, max(1.0, min(1.5, framing.distant / framing.close)))
+    height = np.radians(rng.uniform(*ELEVATION)) + RISE * _wander(rng, t)
+    framed = _framed(rng, framing, *ORBIT_FRAMED)
     return Path(
-        azimuth=middle + side * sweep * (t - 0.5),
+        azimuth=midpoint + side * sweep * (t - 0.5),
         elevation=np.clip(height, LOWEST, HIGHEST),
         roll=np.zeros(views),
         focal=np.full(views, log_uniform(rng, *lens)),
-        framed=framed * (1.0 + 0.03 * _wander(rng, t)),
-        towards=np.full(views, rng.uniform(0.7, 1.0)),
+        framed=framed * (1.0 + BREATH * _wander(rng, t)),
+        towards=np.full(views, rng.uniform(*ORBIT_TOWARDS)),
         sway=np.zeros((views, 3)),
     )
 
@@ -196,18 +230,18 @@ def _handheld(rng: np.random.Generator, framing: Framing, views: int, lens: tupl
     """Draw one standpoint and the wobble about it, smooth from view to view; the hand moves slowly in or out."""
     t = _steps(views)
     wobble = float(rng.uniform(0.5, 1.0))
-    middle = _middle_azimuth(rng, framing, np.radians(16.0))
-    height = np.radians(rng.uniform(20.0, 45.0)) + wobble * np.radians(2.5) * _wander(rng, t)
-    framed = framing.close * rng.uniform(1.05, max(1.05, min(1.6, framing.distant / framing.close)))
-    drift = np.exp(rng.uniform(-0.15, 0.15) * (t - 0.5))
+    midpoint = _midpoint(rng, framing, HAND_SLACK)
+    height = np.radians(rng.uniform(*ELEVATION)) + wobble * HAND_ELEVATION * _wander(rng, t)
+    framed = _framed(rng, framing, *HAND_FRAMED)
+    drift = np.exp(rng.uniform(-HAND_DRIFT, HAND_DRIFT) * (t - 0.5))
     return Path(
-        azimuth=middle + wobble * np.radians(6.0) * _wander(rng, t),
+        azimuth=midpoint + wobble * HAND_AZIMUTH * _wander(rng, t),
         elevation=np.clip(height, LOWEST, HIGHEST),
-        roll=wobble * np.radians(1.2) * _wander(rng, t),
+        roll=wobble * HAND_ROLL * _wander(rng, t),
         focal=np.full(views, log_uniform(rng, *lens)),
-        framed=framed * drift * (1.0 + wobble * 0.04 * _wander(rng, t)),
-        towards=np.full(views, rng.uniform(0.6, 1.0)),
-        sway=wobble * 0.04 * np.stack([_wander(rng, t) for _ in range(3)], axis=-1),
+        framed=framed * drift * (1.0 + wobble * HAND * _wander(rng, t)),
+        towards=np.full(views, rng.uniform(*HAND_TOWARDS)),
+        sway=wobble * HAND * np.stack([_wander(rng, t) for _ in range(3)], axis=-1),
     )
 
 
@@ -217,17 +251,17 @@ def _random(rng: np.random.Generator, framing: Framing, views: int, lens: tuple[
     return Path(
         azimuth=framing.front + framing.opening * rng.uniform(-1.0, 1.0, views),
         elevation=rng.uniform(LOWEST, HIGHEST + STEEPER, views),
-        roll=np.radians(2.0) * rng.normal(0.0, 1.0, views).clip(-2.0, 2.0),
+        roll=LEVEL * rng.normal(0.0, 1.0, views).clip(-2.0, 2.0),
         focal=lens[0] * (lens[1] / lens[0]) ** rng.uniform(0.0, 1.0, views),
         framed=framing.close * spread ** rng.uniform(0.0, 1.0, views),
-        towards=rng.uniform(0.3, 1.0, views),
-        sway=0.06 * rng.uniform(-1.0, 1.0, (views, 3)),
+        towards=rng.uniform(*RANDOM_TOWARDS, views),
+        sway=LOOSE_AIM * rng.uniform(-1.0, 1.0, (views, 3)),
     )
 
 
 def _wander(rng: np.random.Generator, t: Float64) -> Float64:
-    """Return a smooth random curve over `t`, (N,), of unit deviation in the long run: three slow sine waves."""
+    """Return a smooth random curve over `t`, (N,), of unit deviation in the long run: slow sine waves."""
     curve = np.zeros_like(t)
-    for amplitude, cycles in ((0.9, (0.3, 0.8)), (0.8, (0.8, 1.6)), (0.5, (1.6, 2.8))):
+    for amplitude, cycles in WAVES:
         curve += amplitude * np.sin(2 * np.pi * (rng.uniform(*cycles) * t + rng.random()))
-    return curve / np.sqrt((0.9**2 + 0.8**2 + 0.5**2) / 2)
+    return curve / np.sqrt(sum(amplitude**2 for amplitude, _ in WAVES) / 2)

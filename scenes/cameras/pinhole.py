@@ -160,7 +160,7 @@ def z_depth_from_ray_distance(camera: Camera, ray_distance: ArrayLike) -> Float6
 class Reprojection:
     """How well one view's depth predicts another's.
 
-    `compared` pixels could be judged; of them the share `consistent` agrees (NaN where none could be judged).
+    `compared` pixels could be judged; of them the fraction `consistent` agrees (NaN where none could be judged).
     `median_relative_error` is that of the points lying on a surface smooth in both views.
     """
 

@@ -19,6 +19,7 @@ from multilight.scenes.cameras.paths import (
     draw_path,
 )
 from multilight.scenes.cameras.pinhole import project, with_depth_of_field
+from multilight.scenes.errors import MultilightError
 from multilight.scenes.geometry.rays import SceneRays
 from multilight.scenes.poses import box_centre, translation
 from multilight.scenes.spec import Camera
@@ -27,9 +28,9 @@ from multilight.scenes.streams import log_uniform
 CLEARANCE = 0.08
 """Smallest distance [m] of a camera to the convex hull of any body, and to any wall."""
 MARGIN = 0.015
-"""Share of the image's sides that an object in frame keeps clear of its edges."""
+"""Fraction of the image's sides that an object in frame keeps clear of its edges."""
 SEEN = 0.3
-"""An object counts as visible where this share of its points in view is not hidden by others."""
+"""An object counts as visible where this fraction of its points in view is not hidden by others."""
 TRIES = 12
 """Paths that are drawn before a scene is given up."""
 CANDIDATES = 8
@@ -41,7 +42,7 @@ CLOSER = frozenset({"approach", "random"})
 _POINT = box((1e-4, 1e-4, 1e-4))
 
 
-class TrajectoryError(RuntimeError):
+class TrajectoryError(MultilightError):
     """No path shows the objects well enough."""
 
 
@@ -78,7 +79,7 @@ def sample_trajectory(
     """Draw cameras in which each insertable object is whole and visible in `settings.min_visible_share` of the views.
 
     None stands inside or within `CLEARANCE` of anything, behind a wall, or below the table's top. Draw `kind` with
-    `choose_trajectory`, once a scene, so that refusals shift no share. Raises `TrajectoryError` after `TRIES` paths.
+    `choose_trajectory`, once a scene: refusals make no kind rarer. Raises `TrajectoryError` after `TRIES` paths.
     """
     size = (width, height)
     for attempt in range(TRIES):
@@ -135,7 +136,7 @@ def _scattered(
 
 
 def _moved_in(
-    rng: np.random.Generator, cameras: tuple[Camera, ...], subject: Subject, share: float
+    rng: np.random.Generator, cameras: tuple[Camera, ...], subject: Subject, fraction: float
 ) -> tuple[Camera, ...]:
     """Let the last cameras of a path move in on one object, where the others still show everything."""
     body = sorted(subject.watched)[int(rng.integers(len(subject.watched)))]
@@ -146,14 +147,14 @@ def _moved_in(
             return False
         return subject.rays.visible_share(camera.pose()[:3, 3], body, points) >= CLEAR
 
-    moved = move_in(rng, cameras, points, closer_views(rng, len(cameras), share), is_good)
-    return moved if _shows(moved, subject, share) else cameras
+    moved = move_in(rng, cameras, points, closer_views(rng, len(cameras), fraction), is_good)
+    return moved if _shows(moved, subject, fraction) else cameras
 
 
 def focused(
     rng: np.random.Generator, cameras: tuple[Camera, ...], objects: dict[int, Float64], settings: CameraSettings
 ) -> tuple[Camera, ...]:
-    """Open the lens in the stated share of scenes, focused throughout on one of the objects' points (N, 3)."""
+    """Open the lens in the stated fraction of scenes, focused throughout on one of the objects' points (N, 3)."""
     if rng.random() >= settings.depth_of_field:
         return cameras
     watched = sorted(objects)
@@ -182,11 +183,11 @@ def _is_free(camera: Camera, subject: Subject) -> bool:
     return bool(subject.solids.min_distance_single(_POINT, translation(eye)) >= CLEARANCE)
 
 
-def _shows(cameras: Sequence[Camera], subject: Subject, share: float) -> bool:
-    """Tell whether every insertable object is whole and visible in that share of the views."""
+def _shows(cameras: Sequence[Camera], subject: Subject, fraction: float) -> bool:
+    """Tell whether every insertable object is whole and visible in that fraction of the views."""
     for body, points in subject.watched.items():
         good = sum(in_frame(camera, points) and _is_seen(camera, subject.rays, body, points) for camera in cameras)
-        if good < share * len(cameras):
+        if good < fraction * len(cameras):
             return False
     return True
 

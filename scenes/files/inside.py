@@ -3,11 +3,13 @@
 from pathlib import Path
 from urllib.parse import unquote
 
+from multilight.scenes.errors import MultilightError
+
 LONGEST = 1000
 """Characters of the longest name that is taken."""
 
 
-class OutsideError(ValueError):
+class OutsideError(MultilightError, ValueError):
     """A name from data leads out of its folder, or is no plain name; the message names it and the reason."""
 
 

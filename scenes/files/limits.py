@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from multilight.scenes.errors import MultilightError
+
 MOST_PIXELS = 1 << 26
 """Pixels of a picture, a depth or an environment map: 8192 x 8192, the largest that is rendered; 0.8 GB as floats."""
 MOST_TRIANGLES = 3_000_000
@@ -44,12 +46,12 @@ _SHORT.maxstring = _SHORT.maxother = 200
 PIXELS_TOLD = f"{MOST_PIXELS / 1e6:.0f} million pixels are read (8192 x 8192); make it smaller"
 
 
-class LimitError(ValueError):
+class LimitError(MultilightError, ValueError):
     """A file holds more than is read of its kind, or is no plain file."""
 
 
 def shown(value: object) -> str:
-    """Return what `repr` says of a value, the middle of what is long left out."""
+    """Return what `repr` says of a value, the inner part of what is long left out."""
     return _SHORT.repr(value)
 
 

@@ -11,13 +11,14 @@ from trimesh import Trimesh
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from multilight.scenes.arrays import Float64, Int64, Mask
+from multilight.scenes.errors import MultilightError
 from multilight.scenes.meshes import Mesh, stacked, triangle_crosses
 
 FLATNESS = 0.0015
 """How far [m] cells of one surface may lie above or below its height."""
 
 
-class SupportError(ValueError):
+class SupportError(MultilightError):
     """A mesh offers no usable surface: names the size found and the size needed."""
 
 

@@ -52,7 +52,7 @@ _WAXES = ("f0e6cf", "e0d0ae", "a8322a", "3f5a4a", "d9a86a", "efeae2")
 
 @dataclass(frozen=True)
 class Finish:
-    """A class of surface: ranges of roughness, coat and index, the share that is coated, and its colours (sRGB)."""
+    """A class of surface: ranges of roughness, coat and index, the fraction that is coated, and its colours (sRGB)."""
 
     roughness: tuple[float, float]
     colours: tuple[str, ...] = _ANY

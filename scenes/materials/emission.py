@@ -24,7 +24,7 @@ class Emission:
     """What a category of glowing things gives off.
 
     `quantity` is `nits` (cd/m², of white where a picture is shown) or `lumens` (all the part gives off); `kelvin`
-    bounds its colour temperature; `coloured` is the share that glows in a saturated colour; `shows` is the category
+    bounds its colour temperature; `coloured` is the fraction that glows in a saturated colour; `shows` is the category
     of textures that it may show.
     """
 

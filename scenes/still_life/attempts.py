@@ -7,6 +7,7 @@ from pydantic import Field, PositiveInt
 
 from multilight.scenes.cameras.paths import CameraSettings
 from multilight.scenes.cameras.trajectory import TrajectoryError
+from multilight.scenes.errors import MultilightError
 from multilight.scenes.frozen import Frozen
 from multilight.scenes.still_life.placement import PlacementError
 from multilight.scenes.streams import Streams
@@ -14,7 +15,7 @@ from multilight.scenes.streams import Streams
 T = TypeVar("T")
 
 
-class SceneSamplingError(RuntimeError):
+class SceneSamplingError(MultilightError):
     """No attempt at a scene succeeded: names the seed, the index and the last reason."""
 
 

@@ -10,6 +10,7 @@ from trimesh.collision import CollisionManager
 
 from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.info import AssetInfo
+from multilight.scenes.errors import MultilightError
 from multilight.scenes.geometry.solids import Solid
 from multilight.scenes.geometry.support_surfaces import SupportSurface, convex_polygon, stacked_faces, stands
 from multilight.scenes.meshes import Mesh
@@ -30,7 +31,7 @@ BLOCKS = frozenset({"block", "blocks", "box", "boxes", "carton", "cube", "dice",
 """Categories whose members may lie on any face that carries them."""
 
 
-class PlacementError(RuntimeError):
+class PlacementError(MultilightError):
     """The objects drawn do not fit the table."""
 
 

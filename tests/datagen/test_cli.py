@@ -14,6 +14,7 @@ from multilight.datagen.storage.records import SceneRecord, view_file
 from multilight.datagen.storage.store import ViewData
 from multilight.datagen.tuples import compose
 from multilight.datagen.tuples.sheet import telling_view
+from multilight.scenes.errors import MultilightError
 from tests.conftest import SPHERES
 
 COMMANDS = ("dataset", "scene", "verify", "mix", "sheet", "stats", "query", "export", "config", "assets", "doctor")
@@ -47,7 +48,7 @@ def test_each_command_has_help(command: str, capsys: pytest.CaptureFixture[str])
         ("spp = 'many'", ["spp", "many", "integer"]),
         ("objects = [2, 8]", ["objects", "insertable"]),
         ("renderer = 'arnold'", ["renderer", "arnold", "cycles"]),
-        ("scenes = ", ["not valid TOML"]),
+        ("scenes = ", ["cannot be read as TOML"]),
     ],
 )
 def test_bad_configuration_is_one_clear_line(
@@ -79,7 +80,7 @@ def test_missing_configuration_file(tmp_path: Path, capsys: pytest.CaptureFixtur
 def test_traceback_only_when_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("verify", tmp_path) == 1
     assert "Traceback" not in capsys.readouterr().err
-    with pytest.raises(RuntimeError):
+    with pytest.raises(MultilightError):
         run("verify", tmp_path, "--traceback")
 
 

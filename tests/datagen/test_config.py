@@ -8,10 +8,9 @@ import pytest
 from pydantic import ValidationError
 
 from multilight.datagen.cli import main
-from multilight.datagen.commands import make
-from multilight.datagen.config import dataset as config
 from multilight.datagen.config import presets
-from multilight.datagen.config.dataset import DatasetConfig, config_keys, load_config
+from multilight.datagen.config.dataset import DatasetConfig, load_config
+from multilight.datagen.config.loading import keys_of
 from multilight.datagen.config.presets import PRESETS
 from multilight.datagen.config.table import config_rows
 from multilight.datagen.errors import UserError
@@ -31,10 +30,8 @@ def test_presets_are_valid_and_differ(preset: presets.Preset) -> None:
     hash(made)  # workers keep it as a key
 
 
-def test_the_command_line_names_what_the_configuration_knows() -> None:
+def test_presets_are_named_alike() -> None:
     assert set(get_args(presets.Preset)) == set(PRESETS)
-    assert set(get_args(make.Kind)) == {*get_args(config.Kind), "mixed"}
-    assert get_args(make.Renderer) == get_args(config.Renderer)
 
 
 def test_file_goes_over_preset_and_options_over_file(tmp_path: Path) -> None:
@@ -81,7 +78,7 @@ def test_a_wrong_option_is_not_blamed_on_the_file(tmp_path: Path) -> None:
 
 def test_every_key_says_what_it_is_and_what_it_may_be() -> None:
     rows = config_rows(DatasetConfig())
-    assert [row.key for row in rows] == list(config_keys())
+    assert [row.key for row in rows] == list(keys_of(DatasetConfig))
     for row in rows:
         assert len(row.meaning) > 8, row
         assert row.range, row
@@ -99,6 +96,15 @@ def test_config_show(capsys: pytest.CaptureFixture[str]) -> None:
     }  # fmt: skip
     assert main(["config", "show"]) == 0
     assert "cameras.min_visible_share" in capsys.readouterr().out
+
+
+def test_options_are_described_as_the_keys_they_set(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["dataset", "--help"])
+    shown = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    for key in ("scenes", "seed", "kind", "spp"):
+        field = DatasetConfig.model_fields[key]
+        assert f"{' '.join((field.description or '').split())} (default: {field.default})" in shown
 
 
 def test_unknown_kinds_are_refused() -> None:

@@ -15,13 +15,11 @@ import polars as pl
 import pytest
 
 from multilight.datagen.backends.analytic import AnalyticBackend
-from multilight.datagen.backends.machine.variants import choose_variant
 from multilight.datagen.backends.protocol import Backend, RenderJob
 from multilight.datagen.cli import main
 from multilight.datagen.config.dataset import DatasetConfig
-from multilight.datagen.production.scene import Maker, make_scene
+from multilight.datagen.production.scene import SceneMaker, make_scene
 from multilight.datagen.storage.layers import LayerStack
-from multilight.datagen.storage.records import DatasetRecord
 from multilight.datagen.storage.store import file_sha256, read_scene, scene_dir, scene_indices
 from multilight.datagen.verification.views import verify_scene
 from multilight.scenes.assets.library import AssetLibrary
@@ -169,7 +167,7 @@ def test_a_draw_is_thrown_away_at_its_first_bad_view(tmp_path: Path) -> None:
     config = DatasetConfig(renderer="analytic", kind="spheres", width=64, height=48, views=3, spp=4)
     with AnalyticBackend() as real:
         backend = FaultyAtFirst(real)
-        made = make_scene(Maker(config, "analytic", tmp_path, AssetLibrary(), backend, 1), 0)
+        made = make_scene(SceneMaker(config, "analytic", tmp_path, AssetLibrary(), backend, 1), 0)
     first = [job.view for job in backend.jobs if job.scene == backend.jobs[0].scene]
     assert set(first) == {0, 1}
     record = read_scene(made.folder)
@@ -185,8 +183,8 @@ def test_a_draw_is_thrown_away_at_its_first_bad_view(tmp_path: Path) -> None:
 def test_denoising_is_automatic_on_or_off(denoise: str, spp: int, expected: bool) -> None:
     config = DatasetConfig.model_validate({"denoise": denoise, "spp": spp})
     with AnalyticBackend() as backend:
-        assert Maker(config, "cycles", Path(), AssetLibrary(), backend, 1).denoises == expected
-        assert not Maker(config, "analytic", Path(), AssetLibrary(), backend, 1).denoises
+        assert SceneMaker(config, "cycles", Path(), AssetLibrary(), backend, 1).denoises == expected
+        assert not SceneMaker(config, "analytic", Path(), AssetLibrary(), backend, 1).denoises
 
 
 def test_share_of_the_time_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -256,16 +254,3 @@ def test_full_disk_is_said_and_finished_scenes_stay(small_disk: Path) -> None:
         assert [fault["message"].startswith(told) for fault in found if fault["check"] != "index"] == [True]
     finally:
         subprocess.run(["umount", "-l", str(small_disk)], check=True)
-
-
-def test_continuing_with_mitsubas_scalar_variant_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    root = tmp_path / "d"
-    record = DatasetRecord(config=DatasetConfig(renderer="mitsuba"), renderer="mitsuba", variant="", versions={})
-    here = choose_variant().variant
-    other = "llvm_ad_rgb" if here == "scalar_rgb" else "scalar_rgb"
-    root.mkdir()
-    (root / "dataset.json").write_text(record.model_copy(update={"variant": other}).sealed().model_dump_json())
-    assert run("dataset", "--out", root, "--renderer", "mitsuba", "--scenes", 4) == 1
-    errors = capsys.readouterr().err
-    assert other in errors
-    assert here in errors

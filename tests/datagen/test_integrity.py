@@ -22,7 +22,7 @@ from multilight.datagen.cli import main
 from multilight.datagen.config.dataset import RendererName
 from multilight.datagen.errors import StoreError
 from multilight.datagen.production.dataset import Plan
-from multilight.datagen.production.scene import Maker, make_scene
+from multilight.datagen.production.scene import SceneMaker, make_scene
 from multilight.datagen.storage.index import index_bytes, parse_index
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.source import open_dataset
@@ -295,7 +295,7 @@ def in_one_process(monkeypatch: pytest.MonkeyPatch) -> None:
     def make(plan: Plan, renderer: RendererName, missing: tuple[int, ...], _: object) -> dict[int, str]:
         with AnalyticBackend() as backend:
             for index in missing:
-                make_scene(Maker(plan.config, renderer, plan.root, library, backend, 1), index)
+                make_scene(SceneMaker(plan.config, renderer, plan.root, library, backend, 1), index)
         return {}
 
     monkeypatch.setattr("multilight.datagen.production.dataset._run", make)

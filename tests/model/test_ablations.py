@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 
+from multilight.datagen.config.loading import joined
 from multilight.datagen.errors import UserError
 from multilight.datagen.storage.source import open_dataset
 from multilight.model.ablations.run import (
@@ -19,16 +20,15 @@ from multilight.model.ablations.run import (
     CARRIED,
     COMPOSITE,
     STAGE_2D,
-    AblationSettings,
     Run,
     ablate,
     base_values,
     fewer_scenes,
     glowing_scenes,
-    over,
     stored_lighting,
     variants,
 )
+from multilight.model.ablations.settings import AblationSettings
 from multilight.model.ablations.table import rows_of, spread, write_tables
 from multilight.model.cli import COMMANDS
 from multilight.model.configs.stage2d import Input, NetworkConfig, TrainingConfig
@@ -290,7 +290,7 @@ def settings(dataset: Path, out: Path, name: Any, **changes: Any) -> AblationSet
 
 def tiny_base(chosen: AblationSettings) -> dict[str, Any]:
     network = TINY3D if chosen.name == "order" else TINY
-    return over(base_values(chosen), {"network": network, "warmup": 1, "data": {"validation_samples": 2}})
+    return joined(base_values(chosen), {"network": network, "warmup": 1, "data": {"validation_samples": 2}})
 
 
 def test_ablation_trains_evaluates_resumes_and_tells(spheres_dataset: Path, tmp_path: Path) -> None:
@@ -319,7 +319,7 @@ def test_variants_differ_in_nothing_else(spheres_dataset: Path, tmp_path: Path) 
         base = base_values(chosen)
         # The dataset has too few scenes to compare lightings on.
         found = stored_lighting(range(40), 12, 0) if name == "lighting" else variants(chosen, 0)
-        told = [TrainingConfig.model_validate(over(base, v) | {"out": "o"}) for v in found.values()]
+        told = [TrainingConfig.model_validate(joined(base, v) | {"out": "o"}) for v in found.values()]
         plain = TrainingConfig.model_validate(base | {"out": "o"})
         for config in told:
             different = {k for k in TrainingConfig.model_fields if getattr(config, k) != getattr(plain, k)}
@@ -335,7 +335,7 @@ def test_order_compares_networks_on_the_2d_stage(spheres_dataset: Path, tmp_path
     with pytest.raises(UserError, match="--weights-2d"):
         base_values(missing)
     chosen = replace(missing, weights_2d=tmp_path / "2d.safetensors", seeds=1, steps=1, size=64)
-    base = over(tiny_base(chosen), {"side": 32})
+    base = joined(tiny_base(chosen), {"side": 32})
     runs, found = ablate(chosen, base)
     configs = [load_network3d(run.weights).config for run in runs]
     assert [(c.layout, c.order, c.carry) for c in configs] == [

@@ -17,10 +17,11 @@ from multilight.lights.display.tonemap import tone_curve
 from multilight.lights.spec import AreaLight, EmissiveLight, LightRig, PointLight, SunLight
 from multilight.model.cli import COMMANDS
 from multilight.model.configs.stage2d import NetworkConfig
-from multilight.model.evaluation.cases import CaseSettings, Group, dataset_groups, light_shares, subsets_of
+from multilight.model.evaluation.cases import Group, dataset_groups, light_shares, subsets_of
 from multilight.model.evaluation.consistency import disagreement, sample, shared_pairs, shared_pixels
 from multilight.model.evaluation.page import Table
 from multilight.model.evaluation.run import evaluate, methods_of, watched_memory
+from multilight.model.evaluation.settings import CaseSettings
 from multilight.model.networks.checkpoint import save_network
 from multilight.model.networks.compositing2d import Compositing2D
 from multilight.scenes.cameras.pinhole import camera_from_fov, look_at, project, unproject

@@ -22,8 +22,9 @@ from multilight.model.captures.assets import load_asset
 from multilight.model.captures.capture import Capture
 from multilight.model.captures.insert import harmonize_capture, insert_object
 from multilight.model.captures.objects import AMBIENT, FROM_CAMERA, PlacedObject
-from multilight.model.captures.placing import Wish, placed, upright
+from multilight.model.captures.placing import placed, upright
 from multilight.model.captures.planes import find_plane, free_place, scene_centre, scene_up
+from multilight.model.captures.request import Wish
 from multilight.model.captures.trust import repaired
 from multilight.model.captures.video import GAP, orbit_cameras, write_video
 from multilight.model.cli import COMMANDS

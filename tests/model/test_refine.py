@@ -11,8 +11,9 @@ from multilight.datagen.errors import UserError
 from multilight.model.commands.evaluate import Evaluate
 from multilight.model.configs.stage2d import NetworkConfig
 from multilight.model.configs.stage3d import SceneNetworkConfig
-from multilight.model.evaluation.cases import CaseSettings, Group, dataset_groups
+from multilight.model.evaluation.cases import Group, dataset_groups
 from multilight.model.evaluation.method3d import SceneMethod
+from multilight.model.evaluation.settings import CaseSettings
 from multilight.model.gaussians.refine import Free, Pairs, refine, refined_scene, render
 from multilight.model.gaussians.splat_scene import splat_scene
 from multilight.model.networks.compositing2d import Compositing2D

@@ -13,8 +13,9 @@ import torch
 from safetensors.torch import load_file
 from torch import Tensor
 
+from multilight.datagen.config.loading import keys_of, read_values, validated
 from multilight.datagen.errors import UserError
-from multilight.model.configs.stage2d import NETWORKS, LossConfig, TrainingConfig, load_training_config, training_keys
+from multilight.model.configs.stage2d import NETWORKS, LossConfig, TrainingConfig
 from multilight.model.networks.checkpoint import load_network, newest_checkpoint, weights_header
 from multilight.model.networks.compositing2d import Compositing2D
 from multilight.model.training.batches import Batch, Share, stage_at, training_batches
@@ -140,9 +141,10 @@ def test_two_processes_learn_as_one(spheres_dataset: Path, tmp_path: Path) -> No
     script.write_text(
         "import torch, sys, pathlib\n"
         "from multilight.model.training.stage2d import Trainer, _processes\n"
-        "from multilight.model.configs.stage2d import load_training_config\n"
+        "from multilight.datagen.config.loading import read_values, validated\n"
+        "from multilight.model.configs.stage2d import TrainingConfig\n"
         "torch.set_num_threads(1)\n"
-        "config = load_training_config(pathlib.Path(sys.argv[1]), {})\n"
+        "config = validated(read_values(pathlib.Path(sys.argv[1])), TrainingConfig, sys.argv[1])\n"
         "with _processes(config) as (share, device):\n"
         "    trainer = Trainer(config, share, device)\n"
         "    trainer.run()\n"
@@ -157,9 +159,8 @@ def test_two_processes_learn_as_one(spheres_dataset: Path, tmp_path: Path) -> No
     )  # fmt: skip
     assert shown.returncode == 0, shown.stderr[-2000:]
     ranks = [torch.load(tmp_path / f"rank{rank}.pt", weights_only=True) for rank in range(2)]
-    alone = Trainer(
-        load_training_config(toml, {"out": tmp_path / "one", "device": "cpu"}), Share(), torch.device("cpu")
-    )
+    options = {"out": tmp_path / "one", "device": "cpu"}
+    alone = Trainer(validated(read_values(toml), TrainingConfig, toml, options), Share(), torch.device("cpu"))
     alone.run()
     largest = max(float(p.grad.abs().max()) for p in alone.network.parameters() if p.grad is not None)
     for name, parameter in alone.network.named_parameters():
@@ -298,14 +299,17 @@ def test_configuration_errors_name_the_key(tmp_path: Path, text: str, message: s
     start = "" if text.startswith("out") else 'out = "o"\n'
     path.write_text(f"{start}steps = 2\n{text}\n" + ("" if "[data]" in text else '[data]\ntrain = "x"\n'))
     with pytest.raises(UserError) as caught:
-        load_training_config(path, {})
+        validated(read_values(path), TrainingConfig, path)
     assert message in str(caught.value)
     assert str(path) in str(caught.value)
 
 
 def test_ready_made_configurations_are_valid() -> None:
     for path in (ROOT / "model" / "configs" / f"{name}.toml" for name in NETWORKS):
-        assert load_training_config(path, {"data.train": "elsewhere"}).data.train == "elsewhere"
-    assert "stages.size" in list(training_keys())
+        made = validated(read_values(path), TrainingConfig, path, {"data.train": "elsewhere", "minutes": None})
+        assert made.data.train == "elsewhere"
+    assert "stages.size" in list(keys_of(TrainingConfig))
     with pytest.raises(UserError, match="does not exist"):
-        load_training_config(ROOT / "nothing.toml", {})
+        read_values(ROOT / "nothing.toml")
+    with pytest.raises(UserError, match=r"^command line: data\.workers = -1"):
+        validated(read_values(path), TrainingConfig, path, {"data.workers": -1})

@@ -8,11 +8,13 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
+from multilight.datagen.config.loading import validated
 from multilight.datagen.errors import UserError
-from multilight.model.configs.stage2d import NetworkConfig, validated
+from multilight.model.configs.stage2d import NetworkConfig
 from multilight.model.configs.stage3d import SceneTrainingConfig
-from multilight.model.evaluation.cases import CaseSettings, dataset_groups
+from multilight.model.evaluation.cases import dataset_groups
 from multilight.model.evaluation.method3d import scene_method
+from multilight.model.evaluation.settings import CaseSettings
 from multilight.model.networks.checkpoint import load_network3d, save_network
 from multilight.model.networks.compositing2d import Compositing2D
 from multilight.model.training.samples3d import SceneSamples

@@ -397,7 +397,7 @@ def fake_wheel(path: Path, *, skip: int = 0) -> None:
 
 def use_wheel(monkeypatch: pytest.MonkeyPatch, wheel: Path, *, sha256: str | None = None) -> None:
     digest = sha256 or hashlib.sha256(wheel.read_bytes()).hexdigest()
-    source = fetch.Source("pip", "miniworld", "2.1.0", digest, "Apache-2.0")
+    source = fetch.Source("textures", "pip", "miniworld", "2.1.0", digest, "Apache-2.0")
     monkeypatch.setitem(fetch.SOURCES, "textures-miniworld", source)
     monkeypatch.setattr(fetch, "_pip", lambda source, scratch: shutil.copy(wheel, scratch / wheel.name))
 

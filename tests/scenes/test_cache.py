@@ -203,3 +203,15 @@ def test_a_file_that_may_not_be_read_is_not_thrown_away(tmp_path: Path) -> None:
     with pytest.raises(MemoryError):
         cache.read_kept(path, no_memory)
     assert path.read_text() == "good"
+
+
+def test_there_is_one_cache_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("MULTILIGHT_CACHE", raising=False)
+    monkeypatch.setenv("HOME", "/home/one")
+    for key, value, place in (
+        ("XDG_CACHE_HOME", "", "/home/one/.cache/multilight"),
+        ("XDG_CACHE_HOME", "/var/caches", "/var/caches/multilight"),
+        ("MULTILIGHT_CACHE", "~/packs", "/home/one/packs"),
+    ):
+        monkeypatch.setenv(key, value)
+        assert cache.default_cache() == Path(place)

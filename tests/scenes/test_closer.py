@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from multilight.scenes.cameras.close_ups import SHARE, closer_views, move_in
+from multilight.scenes.cameras.close_ups import MOVES_IN, closer_views, move_in
 from multilight.scenes.cameras.pinhole import camera_from_lens, focal_length_mm, look_at, project
 from multilight.scenes.spec import Camera
 
@@ -45,6 +45,6 @@ def test_enough_views_are_left_to_show_everything() -> None:
     rng = np.random.default_rng(2)
     counts = [closer_views(rng, 16, 0.7) for _ in range(400)]
     assert set(counts) == {0, 3}
-    assert np.mean(np.array(counts) > 0) == pytest.approx(SHARE, abs=0.08)
+    assert np.mean(np.array(counts) > 0) == pytest.approx(MOVES_IN, abs=0.08)
     assert closer_views(rng, 16, 1.0) == 0
     assert closer_views(rng, 1, 0.7) == 0

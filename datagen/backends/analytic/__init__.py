@@ -6,7 +6,6 @@ a fixed grid of rays in each pixel. Shadows are hard, light does not bounce.
 
 import math
 from collections.abc import Sequence
-from types import TracebackType
 from typing import Self
 
 import numpy as np
@@ -14,14 +13,12 @@ from numpy.typing import NDArray
 
 from multilight.datagen.backends.analytic.lighting import check_lights, colour_of, exitance_share
 from multilight.datagen.backends.analytic.shapes import Ball, Shape, column, dot, shapes_of
-from multilight.datagen.backends.protocol import BackendError, RenderJob, split_variant
+from multilight.datagen.backends.protocol import BackendError, RenderJob, split_variant, view_camera
 from multilight.datagen.storage.layers import GeometryBuffers, LayerStack
 from multilight.lights.spec import EmissiveLight, EnvironmentLight, Light
 from multilight.scenes.arrays import Float32, Float64
 from multilight.scenes.cameras.pinhole import pixel_rays
 from multilight.scenes.spec import Camera
-
-"""Raised whenever the pictures change."""
 
 
 class AnalyticBackend:
@@ -32,9 +29,7 @@ class AnalyticBackend:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         return None
 
     def render(self, job: RenderJob) -> LayerStack:
@@ -43,10 +38,8 @@ class AnalyticBackend:
         `settings.spp` becomes a grid of k x k rays a pixel, k = ceil(sqrt(spp)), the same in every variant.
         """
         action, name = split_variant(job.scene, job.variant)
-        if not 0 <= job.view < len(job.scene.cameras):
-            raise BackendError(f"view {job.view} is outside 0..{len(job.scene.cameras) - 1}")
+        camera = view_camera(job)
         check_lights(job.rig, job.scene)
-        camera = job.scene.cameras[job.view]
         shapes = shapes_of(job.scene, without=name if action == "without" else None)
         _check_outside(camera, shapes)
         only = job.scene.instance_id(name) if action == "foreground" and name else None
@@ -107,7 +100,7 @@ def _sample_grid(
 ) -> tuple[Float32, Float32]:
     """Average the grid of rays in each pixel.
 
-    Returns the layers (L, H, W, 3) and the share of each pixel (H, W) that shows geometry, or, where `only` is an
+    Returns the layers (L, H, W, 3) and the fraction of each pixel (H, W) that shows geometry, or, where `only` is an
     instance id, both of that body alone.
     """
     side = math.ceil(math.sqrt(spp))

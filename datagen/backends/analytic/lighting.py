@@ -82,7 +82,7 @@ def exitance_share(
 def _from_environment(
     shapes: Sequence[Shape], points: Float64, normals: Float64, owners: NDArray[np.uint16]
 ) -> Float64:
-    """Return the share of the hemisphere, weighted by its cosine, that sees a uniform environment, (N,)."""
+    """Return the fraction of the hemisphere, weighted by its cosine, that sees a uniform environment, (N,)."""
     share = np.ones(points.shape[1])
     plates = [shape for shape in shapes if isinstance(shape, Plate)]
     for shape in shapes:
@@ -148,11 +148,11 @@ def _darken(
 ) -> None:
     """Set `share` to zero, in place, where a body other than the point's own stands before the light."""
     exposed = np.flatnonzero(share > 0.0)
-    start, way, own = points[:, exposed], towards[:, exposed], owners[exposed]
+    start, direction, own = points[:, exposed], towards[:, exposed], owners[exposed]
     reach = distance if isinstance(distance, float) else distance[exposed]
     hidden = np.zeros(exposed.size, np.bool_)
     for shape in shapes:
-        hidden |= (shape.hit(start, way) < reach) & (own != shape.number)
+        hidden |= (shape.hit(start, direction) < reach) & (own != shape.number)
     share[exposed[hidden]] = 0.0
 
 

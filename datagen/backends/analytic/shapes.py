@@ -1,4 +1,4 @@
-"""Spheres and rectangles met in closed form: ray hits, and the share of a hemisphere that each fills.
+"""Spheres and rectangles met in closed form: ray hits, and the fraction of a hemisphere that each fills.
 
 Vectors are held as (3, N) float64 arrays, so that every operation runs over contiguous memory and rounds each
 point alike whatever its neighbours: a body that shadows nothing can be taken away without changing one bit.

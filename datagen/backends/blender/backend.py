@@ -2,7 +2,6 @@
 
 import contextlib
 from collections.abc import Iterator
-from types import TracebackType
 from typing import ClassVar, Self
 
 import bpy
@@ -11,7 +10,7 @@ import numpy as np
 from multilight.datagen.backends.blender.film import Passes, beauty_filter, centre_filter, configure, render_passes
 from multilight.datagen.backends.blender.materials import ALBEDO_AOV, SURFACE_AOV
 from multilight.datagen.backends.blender.scene import SyncedScene, place_camera, projected_border
-from multilight.datagen.backends.protocol import BackendError, RenderJob, RenderSettings, split_variant
+from multilight.datagen.backends.protocol import RenderJob, RenderSettings, split_variant, view_camera
 from multilight.datagen.storage.layers import GeometryBuffers, LayerStack
 from multilight.lights.spec import LightRig
 from multilight.scenes.arrays import Float32
@@ -41,9 +40,7 @@ class BlenderBackend:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if BlenderBackend._holder is self:
             bpy.ops.wm.read_factory_settings(use_empty=True)
             BlenderBackend._holder = None
@@ -52,10 +49,8 @@ class BlenderBackend:
     def render(self, job: RenderJob) -> LayerStack:
         """Render one job; raises `BackendError` with the value and the remedy."""
         action, name = split_variant(job.scene, job.variant)
-        if not 0 <= job.view < len(job.scene.cameras):
-            raise BackendError(f"view {job.view} is not in 0..{len(job.scene.cameras) - 1}")
+        camera = view_camera(job)
         synced = self._sync(job)
-        camera = job.scene.cameras[job.view]
         place_camera(camera)
         # One seed for all variants of a view: pixels that the object does not touch come out the same.
         bpy.context.scene.cycles.seed = (self._seeds + job.view) % 2**31
@@ -98,34 +93,37 @@ def _settle(synced: SyncedScene) -> None:
 
 
 def _beauty(synced: SyncedScene, settings: RenderSettings) -> Passes:
-    """Render all lights: what one world can hold at once, then each further environment with the lamps off.
+    """Render all lights: what Blender can hold at once, then each further environment with the lamps off.
 
     A glowing body stays on in those renders, since its material is not touched; its light falls into its own
     group and is left out.
     """
     beauty_filter(settings.spp)
     passes = render_passes()
-    for world in synced.further_worlds:
-        with _lit_by(synced, world):
-            layer = render_passes()[f"Combined_{world.lightgroup}"]
-        passes[f"Combined_{world.lightgroup}"] = layer
+    for number, name in enumerate(synced.sky.names[1:], start=1):
+        with _lit_by(synced, number):
+            layer = render_passes()[f"Combined_{synced.sky.names[0]}"]
+        passes[f"Combined_{name}"] = layer
         passes["Combined"][..., :3] += layer[..., :3]
     return passes
 
 
 @contextlib.contextmanager
-def _lit_by(synced: SyncedScene, world: bpy.types.World) -> Iterator[None]:
-    """Let another environment light the scene, without any lamp."""
-    scene = bpy.context.scene
-    first, scene.world = scene.world, world
-    for lamp in synced.lamps:
-        lamp.hide_render = True
+def _lit_by(synced: SyncedScene, environment: int) -> Iterator[None]:
+    """Let another environment light the scene, without any lamp.
+
+    `hide_render` would take the lamps out of Cycles' scene and put them back in another order.
+    """
+    energies = [(lamp.data, lamp.data.energy) for lamp in synced.lamps]
+    synced.sky.shine(environment)
+    for lamp, _ in energies:
+        lamp.energy = 0.0
     try:
         yield
     finally:
-        scene.world = first
-        for lamp in synced.lamps:
-            lamp.hide_render = False
+        synced.sky.shine(0)
+        for lamp, energy in energies:
+            lamp.energy = energy
 
 
 def _stack(
@@ -177,7 +175,7 @@ def _towards_camera(camera: Camera, normal: Float32) -> Float32:
 
 
 def _render_foreground(synced: SyncedScene, job: RenderJob, name: str) -> LayerStack:
-    camera = job.scene.cameras[job.view]
+    camera = view_camera(job)
     border = projected_border(camera, synced.box(name))
     if border is None:
         return _unseen(camera, job.rig)

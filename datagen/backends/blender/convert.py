@@ -1,4 +1,4 @@
-"""Converts a .blend file to GLB: `python -m multilight.backends.blender.convert FILE.blend FILE.glb`.
+"""Converts a .blend file to GLB: `python -m multilight.datagen.backends.blender.convert FILE.blend FILE.glb`.
 
 Runs in a process of its own, since it opens a file of unknown origin. No script in that file runs: neither text
 blocks marked to run at start, nor drivers and handlers written in Python.
@@ -24,6 +24,7 @@ from multilight.scenes.assets.formats.gltf import LIGHTS_KEY  # noqa: E402
 from multilight.scenes.assets.formats.scene_file import FoundLight  # noqa: E402
 from multilight.scenes.cameras.pinhole import matrix4  # noqa: E402
 from multilight.scenes.colour import srgb_decode  # noqa: E402
+from multilight.scenes.errors import MultilightError  # noqa: E402
 from multilight.scenes.files.inside import OutsideError, held  # noqa: E402
 from multilight.scenes.frozen import Rgb  # noqa: E402
 
@@ -35,7 +36,7 @@ SKY = "world"
 """Name of the environment map that is written beside the GLB."""
 
 
-class ConversionError(RuntimeError):
+class ConversionError(MultilightError, RuntimeError):
     """A .blend file cannot be converted: says why and what to do."""
 
 

@@ -5,6 +5,7 @@ quantities into them. The tests hold each against a closed form.
 """
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import bpy
@@ -12,6 +13,7 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 from multilight.datagen.backends.blender.materials import load_image
+from multilight.datagen.backends.blender.nodes import empty_tree, maths, node
 from multilight.lights.photometry.directions import spot_frame
 from multilight.lights.spec import AreaLight, EnvironmentLight, PointLight, SpotLight, SunLight
 from multilight.scenes.assets.library import AssetLibrary
@@ -53,44 +55,48 @@ def add_light(light: SunLight | PointLight | SpotLight | AreaLight, library: Ass
     return placed
 
 
-def make_world(light: EnvironmentLight | None, library: AssetLibrary) -> bpy.types.World:
-    """Make a world that lights the scene from infinity, in a light group of its own; without a light, a black one."""
-    world = bpy.data.worlds.new("world")
-    if world.node_tree is None:
-        world.use_nodes = True
-    tree = world.node_tree
-    tree.nodes.clear()
-    background = tree.nodes.new("ShaderNodeBackground")
-    background.inputs["Color"].default_value = (0.0, 0.0, 0.0, 1.0) if light is None else (*light.radiance, 1.0)
-    tree.links.new(background.outputs["Background"], tree.nodes.new("ShaderNodeOutputWorld").inputs["Surface"])
-    if light is not None:
-        world.lightgroup = light.name
-        if light.map is not None:
-            tree.links.new(_map_colour(tree, light, library), background.inputs["Color"])
-    return world
+class Sky:
+    """The world, which lights the scene from infinity by one environment at a time, in the first one's light group.
+
+    It stays one data-block: another in its place would put Cycles' lamps into another order, and with it the random
+    choices of every later render, differently in each process.
+    """
+
+    def __init__(self, lights: Sequence[EnvironmentLight], library: AssetLibrary) -> None:
+        """Light the scene by the first environment; without any, by none."""
+        self.names = tuple(light.name for light in lights)
+        world = bpy.context.scene.world = bpy.data.worlds.new("world")
+        self._tree = empty_tree(world)
+        self._surface = node(self._tree, "ShaderNodeOutputWorld").inputs["Surface"]
+        self._backgrounds = [self._background(light, library) for light in lights]
+        if lights:
+            world.lightgroup = self.names[0]
+            self.shine(0)
+
+    def shine(self, number: int) -> None:
+        """Light the scene by another environment."""
+        self._tree.links.new(self._backgrounds[number], self._surface)
+
+    def _background(self, light: EnvironmentLight, library: AssetLibrary) -> Any:
+        colour = light.radiance if light.map is None else _map_colour(self._tree, light, library)
+        return node(self._tree, "ShaderNodeBackground", {"Color": colour}).outputs["Background"]
 
 
 def _map_colour(tree: Any, light: EnvironmentLight, library: AssetLibrary) -> Any:
     """Look the map up; Blender's own azimuth is the spec's, so only the rotation is undone first."""
     assert light.map is not None
-    direction = tree.nodes.new("ShaderNodeTexCoord").outputs["Generated"]
-    turned = tree.nodes.new("ShaderNodeMapping")
-    turned.inputs["Rotation"].default_value = (0.0, 0.0, -light.rotation)
-    tree.links.new(direction, turned.inputs["Vector"])
-    picture = tree.nodes.new("ShaderNodeTexEnvironment")
+    direction = node(tree, "ShaderNodeTexCoord").outputs["Generated"]
+    rotated = node(tree, "ShaderNodeMapping", {"Vector": direction, "Rotation": (0.0, 0.0, -light.rotation)})
+    picture = node(tree, "ShaderNodeTexEnvironment", {"Vector": rotated.outputs["Vector"]})
     picture.image = load_image(library.environment_path(light.map), "Linear Rec.709")
-    tree.links.new(turned.outputs["Vector"], picture.inputs["Vector"])
-    scaled = tree.nodes.new("ShaderNodeVectorMath")
-    scaled.operation = "MULTIPLY"
-    tree.links.new(picture.outputs["Color"], scaled.inputs[0])
-    scaled.inputs[1].default_value = light.radiance
+    scaled = node(tree, "ShaderNodeVectorMath", {0: picture.outputs["Color"], 1: light.radiance}, "MULTIPLY")
     return scaled.outputs["Vector"]
 
 
 def _area(light: AreaLight) -> Any:
     # Radiance L over area A is the flux pi A L, Blender's watts; an ellipse fills pi / 4 of its box.
-    share = 1.0 if light.shape == "rectangle" else math.pi / 4
-    data = _data(light.name, "AREA", light.radiance, math.pi * light.width * light.height * share)
+    filled = 1.0 if light.shape == "rectangle" else math.pi / 4
+    data = _data(light.name, "AREA", light.radiance, math.pi * light.width * light.height * filled)
     data.shape = "RECTANGLE" if light.shape == "rectangle" else "ELLIPSE"
     data.size, data.size_y, data.spread = light.width, light.height, math.pi
     return data
@@ -110,63 +116,31 @@ def _facing(direction: Vector3) -> Matrix:
 def _shape(data: Any, direction: Vector3, profile: tuple[float, ...]) -> None:
     """Multiply a point light by its profile: the table as an image of one row, looked up at the angle of emission.
 
-    Linear filtering between the pixels' middles is the spec's own interpolation, to the last digit.
+    Linear filtering between the pixels' centres is the spec's own interpolation, to the last digit.
     """
-    tree, strength = _emission(data)
     table = bpy.data.images.new(f"{data.name} profile", len(profile), 1, alpha=True, float_buffer=True)
     table.colorspace_settings.name = "Non-Color"
     table.pixels.foreach_set(np.repeat(np.array(profile, np.float32), 4))
     table.pack()
+    tree, count = empty_tree(data), len(profile)
     # "Incoming" runs from the lamp to what it lights.
-    leaving = tree.nodes.new("ShaderNodeNewGeometry").outputs["Incoming"]
-    cosine = _dot(tree, leaving, Vector(direction).normalized())
-    angle = _scalar(tree, "ARCCOSINE", cosine)
-    count = len(profile)
-    place = _scalar(tree, "MULTIPLY_ADD", angle, (count - 1) / (math.pi * count), 0.5 / count)
-    where = tree.nodes.new("ShaderNodeCombineXYZ")
-    tree.links.new(place, where.inputs["X"])
-    where.inputs["Y"].default_value = 0.5
-    tree.links.new(_picture(tree, table, where.outputs["Vector"]), strength)
+    leaving = node(tree, "ShaderNodeNewGeometry").outputs["Incoming"]
+    cosine = node(tree, "ShaderNodeVectorMath", {0: leaving, 1: Vector(direction).normalized()}, "DOT_PRODUCT")
+    angle = maths(tree, "ARCCOSINE", cosine.outputs["Value"])
+    place = maths(tree, "MULTIPLY_ADD", angle, (count - 1) / (math.pi * count), 0.5 / count)
+    where = node(tree, "ShaderNodeCombineXYZ", {"X": place, "Y": 0.5})
+    _emit(tree, table, where.outputs["Vector"])
 
 
 def _project(data: Any, image: bpy.types.Image) -> None:
     """Multiply a spot by an image; Cycles' own coordinates of a spot span the square round its cone."""
-    tree, strength = _emission(data)
-    where = tree.nodes.new("ShaderNodeTexCoord").outputs["UV"]
-    tree.links.new(_picture(tree, image, where), strength)
+    tree = empty_tree(data)
+    _emit(tree, image, node(tree, "ShaderNodeTexCoord").outputs["UV"])
 
 
-def _emission(data: Any) -> tuple[Any, Any]:
-    """Give a light nodes and return its tree and the colour input that multiplies its power."""
-    if data.node_tree is None:
-        data.use_nodes = True
-    tree = data.node_tree
-    tree.nodes.clear()
-    emission = tree.nodes.new("ShaderNodeEmission")
-    tree.links.new(emission.outputs["Emission"], tree.nodes.new("ShaderNodeOutputLight").inputs["Surface"])
-    return tree, emission.inputs["Color"]
-
-
-def _picture(tree: Any, image: bpy.types.Image, where: Any) -> Any:
-    """Look an image up with linear filtering; past its border it goes on as there."""
-    node = tree.nodes.new("ShaderNodeTexImage")
-    node.image, node.interpolation, node.extension = image, "Linear", "EXTEND"
-    tree.links.new(where, node.inputs["Vector"])
-    return node.outputs["Color"]
-
-
-def _dot(tree: Any, vector: Any, other: Vector) -> Any:
-    node = tree.nodes.new("ShaderNodeVectorMath")
-    node.operation = "DOT_PRODUCT"
-    tree.links.new(vector, node.inputs[0])
-    node.inputs[1].default_value = other
-    return node.outputs["Value"]
-
-
-def _scalar(tree: Any, operation: str, value: Any, *more: float) -> Any:
-    node = tree.nodes.new("ShaderNodeMath")
-    node.operation = operation
-    tree.links.new(value, node.inputs[0])
-    for socket, number in zip(node.inputs[1:], more, strict=False):
-        socket.default_value = number
-    return node.outputs["Value"]
+def _emit(tree: Any, image: bpy.types.Image, where: Any) -> None:
+    """Multiply a lamp's power by an image, linearly filtered; past its border it goes on as there."""
+    picture = node(tree, "ShaderNodeTexImage", {"Vector": where})
+    picture.image, picture.interpolation, picture.extension = image, "Linear", "EXTEND"
+    emission = node(tree, "ShaderNodeEmission", {"Color": picture.outputs["Color"]})
+    node(tree, "ShaderNodeOutputLight", {"Surface": emission.outputs["Emission"]})

@@ -6,6 +6,7 @@ from typing import Any
 import bpy
 
 from multilight.datagen.backends.blender.meshes import UV_LAYER
+from multilight.datagen.backends.blender.nodes import empty_tree, maths, node
 from multilight.datagen.backends.protocol import BackendError
 from multilight.lights.spec import EmissiveLight
 from multilight.scenes.assets.library import AssetLibrary
@@ -33,17 +34,13 @@ class Materials:
 
     def _build(self, material: Material, emission: EmissiveLight | None) -> bpy.types.Material:
         made = bpy.data.materials.new(material.name)
-        # A material made through the data API starts without nodes in Blender 4 and with them in 5.
-        if made.node_tree is None:
-            made.use_nodes = True
-        tree = made.node_tree
-        tree.nodes.clear()
+        tree = empty_tree(made)
         color, alpha = self._base_color(tree, material)
         roughness: Any = material.roughness
         if material.roughness_texture is not None:
             texture = self._texture(tree, material.roughness_texture, "Non-Color")
-            roughness = _math(tree, "MULTIPLY", texture.outputs["Color"], material.roughness)
-        surface = _node(
+            roughness = maths(tree, "MULTIPLY", texture.outputs["Color"], material.roughness)
+        surface = node(
             tree,
             "ShaderNodeBsdfPrincipled",
             {
@@ -59,14 +56,14 @@ class Materials:
         )
         if material.normal_texture is not None:
             texture = self._texture(tree, material.normal_texture, "Non-Color")
-            bumps = _node(tree, "ShaderNodeNormalMap", {"Color": texture.outputs["Color"]})
+            bumps = node(tree, "ShaderNodeNormalMap", {"Color": texture.outputs["Color"]})
             bumps.uv_map = UV_LAYER
             tree.links.new(bumps.outputs["Normal"], surface.inputs["Normal"])
         shader = surface.outputs["BSDF"]
         if emission is not None:
             shader = _add_emission(tree, shader, self._glow(tree, emission), alpha)
             made.cycles.emission_sampling = "FRONT_BACK"
-        _node(tree, "ShaderNodeOutputMaterial", {"Surface": shader})
+        node(tree, "ShaderNodeOutputMaterial", {"Surface": shader})
         _write_aovs(tree, color, (roughness, material.metallic), alpha)
         return made
 
@@ -74,10 +71,10 @@ class Materials:
         if material.base_color_texture is None:
             return material.base_color, material.opacity
         texture = self._texture(tree, material.base_color_texture, "sRGB")
-        color = _node(tree, "ShaderNodeVectorMath", {0: texture.outputs["Color"], 1: material.base_color}, "MULTIPLY")
+        color = node(tree, "ShaderNodeVectorMath", {0: texture.outputs["Color"], 1: material.base_color}, "MULTIPLY")
         alpha: Any = material.opacity
         if material.opacity_from_alpha:
-            alpha = _math(tree, "MULTIPLY", texture.outputs["Alpha"], material.opacity)
+            alpha = maths(tree, "MULTIPLY", texture.outputs["Alpha"], material.opacity)
         return color.outputs["Vector"], alpha
 
     def _glow(self, tree: Any, light: EmissiveLight) -> Any:
@@ -85,19 +82,19 @@ class Materials:
         if light.texture is None:
             return light.radiance
         colour = self._texture(tree, light.texture, "sRGB").outputs["Color"]
-        return _node(tree, "ShaderNodeVectorMath", {0: colour, 1: light.radiance}, "MULTIPLY").outputs["Vector"]
+        return node(tree, "ShaderNodeVectorMath", {0: colour, 1: light.radiance}, "MULTIPLY").outputs["Vector"]
 
     def _texture(self, tree: Any, texture: Texture, colour_space: str) -> Any:
-        uv = _node(tree, "ShaderNodeUVMap", {})
+        uv = node(tree, "ShaderNodeUVMap", {})
         uv.uv_map = UV_LAYER
-        tiled = _node(tree, "ShaderNodeVectorMath", {0: uv.outputs["UV"], 1: (*texture.repeat, 1.0)}, "MULTIPLY")
-        node = _node(tree, "ShaderNodeTexImage", {"Vector": tiled.outputs["Vector"]})
+        tiled = node(tree, "ShaderNodeVectorMath", {0: uv.outputs["UV"], 1: (*texture.repeat, 1.0)}, "MULTIPLY")
+        picture = node(tree, "ShaderNodeTexImage", {"Vector": tiled.outputs["Vector"]})
         key = (texture.image, colour_space)
         if key not in self._images:
             self._images[key] = load_image(self._library.texture_path(texture.image), colour_space)
-        node.image = self._images[key]
-        node.extension = "REPEAT"
-        return node
+        picture.image = self._images[key]
+        picture.extension = "REPEAT"
+        return picture
 
 
 def load_image(path: Path, colour_space: str) -> bpy.types.Image:
@@ -117,8 +114,8 @@ def load_image(path: Path, colour_space: str) -> bpy.types.Image:
 
 def _add_emission(tree: Any, shader: Any, emission: Any, alpha: Any) -> Any:
     """Add emission beside the Principled BSDF, whose own a coat would dim; a cut-out does not glow."""
-    glow = _node(tree, "ShaderNodeEmission", {"Color": emission, "Strength": alpha})
-    total = _node(tree, "ShaderNodeAddShader", {0: shader, 1: glow.outputs["Emission"]})
+    glow = node(tree, "ShaderNodeEmission", {"Color": emission, "Strength": alpha})
+    total = node(tree, "ShaderNodeAddShader", {0: shader, 1: glow.outputs["Emission"]})
     return total.outputs["Shader"]
 
 
@@ -127,31 +124,11 @@ def _write_aovs(tree: Any, color: Any, surface: tuple[Any, Any], alpha: Any) -> 
 
     That is Cycles' own threshold for depth and ids. Geometry that is see-through, but there, covers the environment.
     """
-    shown: Any = float(alpha > 0.5) if isinstance(alpha, float) else _math(tree, "GREATER_THAN", alpha, 0.5)
-    albedo = _node(tree, "ShaderNodeVectorMath", {"Vector": color, "Scale": shown}, "SCALE").outputs["Vector"]
-    roughness, metallic = (_math(tree, "MULTIPLY", value, shown) for value in surface)
-    there: Any = float(alpha > 0) if isinstance(alpha, float) else _math(tree, "GREATER_THAN", alpha, 0.01)
-    triple = _node(tree, "ShaderNodeCombineXYZ", {0: roughness, 1: metallic, 2: there}).outputs["Vector"]
+    shown: Any = float(alpha > 0.5) if isinstance(alpha, float) else maths(tree, "GREATER_THAN", alpha, 0.5)
+    albedo = node(tree, "ShaderNodeVectorMath", {"Vector": color, "Scale": shown}, "SCALE").outputs["Vector"]
+    roughness, metallic = (maths(tree, "MULTIPLY", value, shown) for value in surface)
+    there: Any = float(alpha > 0) if isinstance(alpha, float) else maths(tree, "GREATER_THAN", alpha, 0.01)
+    triple = node(tree, "ShaderNodeCombineXYZ", {0: roughness, 1: metallic, 2: there}).outputs["Vector"]
     for name, vector in ((ALBEDO_AOV, albedo), (SURFACE_AOV, triple)):
-        output = _node(tree, "ShaderNodeOutputAOV", {"Color": vector})
+        output = node(tree, "ShaderNodeOutputAOV", {"Color": vector})
         output.aov_name = name
-
-
-def _math(tree: Any, operation: str, first: Any, second: Any) -> Any:
-    return _node(tree, "ShaderNodeMath", {0: first, 1: second}, operation).outputs["Value"]
-
-
-def _node(tree: Any, kind: str, inputs: dict[Any, Any], operation: str | None = None) -> Any:
-    """Add a node; an input is a socket to link or a plain value (RGB is padded to RGBA where needed)."""
-    node = tree.nodes.new(kind)
-    if operation is not None:
-        node.operation = operation
-    for key, value in inputs.items():
-        socket = node.inputs[key]
-        if isinstance(value, bpy.types.NodeSocket):
-            tree.links.new(value, socket)
-        elif socket.type == "RGBA":
-            socket.default_value = (*value, 1.0)
-        else:
-            socket.default_value = value
-    return node

@@ -33,7 +33,7 @@ def unit_sphere(name: str) -> bpy.types.Mesh:
     faces = np.array([[vertex.index for vertex in face.verts] for face in grid.faces], dtype=np.int32)
     grid.free()
     uv = _longitude_latitude(vertices)
-    # Let the faces' middles lie as much inside the true sphere as the vertices lie outside.
+    # Let the faces' centroids lie as much inside the true sphere as the vertices lie outside.
     inner = np.linalg.norm(vertices[faces].mean(axis=1), axis=1).min()
     return _triangles(name, vertices / np.sqrt(inner), faces, uv)
 

@@ -9,18 +9,16 @@ from mathutils import Matrix
 from multilight.datagen.backends.blender import lights as blender_lights
 from multilight.datagen.backends.blender import meshes
 from multilight.datagen.backends.blender.materials import Materials
-from multilight.datagen.backends.protocol import BackendError
+from multilight.datagen.backends.parts import body_parts, glowing_parts
 from multilight.lights.spec import EmissiveLight, EnvironmentLight, LightRig
 from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.library import AssetLibrary
-from multilight.scenes.cameras.pinhole import circle_of_confusion
+from multilight.scenes.cameras.pinhole import SENSOR_MM, circle_of_confusion
 from multilight.scenes.spec import Body, Camera, MeshAsset, Rectangle, SceneSpec, Sphere
-
-_SENSOR_WIDTH = 36.0
 
 
 class SyncedScene:
-    """A scene as Blender holds it: the objects of each body, its lamps, and environments beyond the first."""
+    """A scene as Blender holds it: the objects of each body, its lamps and its sky."""
 
     def __init__(self, scene: SceneSpec, rig: LightRig, library: AssetLibrary) -> None:
         """Empty Blender's file and build the scene anew, from data only."""
@@ -29,20 +27,15 @@ class SyncedScene:
         self._materials = Materials(library)
         self._meshes: dict[object, bpy.types.Mesh] = {}
         self.objects: dict[str, list[bpy.types.Object]] = {}
-        emissive = [light for light in rig.lights if isinstance(light, EmissiveLight)]
-        _check_emissive(scene, emissive)
+        glowing = glowing_parts(scene, rig)
         for number, body in enumerate(scene.bodies, start=1):
-            glows = {light.part: light for light in emissive if light.body == body.name}
+            glows = {part: light for (name, part), light in glowing.items() if name == body.name}
             self.objects[body.name] = self._add_body(body, number, glows)
         self.lamps: list[bpy.types.Object] = []
-        worlds = []
         for light in rig.lights:
-            if isinstance(light, EnvironmentLight):
-                worlds.append(blender_lights.make_world(light, library))
-            elif not isinstance(light, EmissiveLight):
+            if not isinstance(light, EnvironmentLight | EmissiveLight):
                 self.lamps.append(blender_lights.add_light(light, library))
-        # Blender lights a scene from one world at a time; the others get renders of their own.
-        bpy.context.scene.world, *self.further_worlds = worlds or [blender_lights.make_world(None, library)]
+        self.sky = blender_lights.Sky([light for light in rig.lights if isinstance(light, EnvironmentLight)], library)
         camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
         bpy.context.scene.collection.objects.link(camera)
         bpy.context.scene.camera = camera
@@ -87,43 +80,21 @@ class SyncedScene:
         return placed
 
     def _mesh(self, body: Body, parts: tuple[int, ...]) -> bpy.types.Mesh:
-        match body.geometry:
-            case Sphere():
-                key: object = "sphere"
-            case geometry:
-                key = (geometry, parts)
+        """Make a mesh of some of a body's parts, or return the one that another body has; all spheres share one."""
+        key = "sphere" if isinstance(body.geometry, Sphere) else (body.geometry, parts)
         if key not in self._meshes:
-            self._meshes[key] = self._build_mesh(body, parts)
+            match body.geometry:
+                case Sphere():
+                    made = meshes.unit_sphere(body.name)
+                case Rectangle() as shape:
+                    made = meshes.rectangle(body.name, shape)
+                case MeshAsset():
+                    own = body_parts(body, self._library)
+                    made = meshes.mesh_from_parts(body.name, [own[part] for part in parts])
             for _ in parts:
-                self._meshes[key].materials.append(None)
+                made.materials.append(None)
+            self._meshes[key] = made
         return self._meshes[key]
-
-    def _build_mesh(self, body: Body, parts: tuple[int, ...]) -> bpy.types.Mesh:
-        match body.geometry:
-            case Sphere():
-                return meshes.unit_sphere(body.name)
-            case Rectangle() as shape:
-                return meshes.rectangle(body.name, shape)
-            case MeshAsset() as shape:
-                mesh = self._library.mesh(shape.asset)
-                if len(mesh.parts) != shape.parts:
-                    raise BackendError(
-                        f"asset {shape.asset!r} has {len(mesh.parts)} part(s), not {shape.parts}; "
-                        "make the scene again with the assets that are installed now"
-                    )
-                return meshes.mesh_from_parts(body.name, [mesh.parts[part] for part in parts])
-
-
-def _check_emissive(scene: SceneSpec, emissive: list[EmissiveLight]) -> None:
-    """Fail on a light that names no part of the scene, or a part that another light has."""
-    free = {body.name: list(range(len(body.materials))) for body in scene.bodies}
-    for light in emissive:
-        if light.part not in free.get(light.body, ()):
-            raise BackendError(
-                f"light {light.name!r}: part {light.part} of body {light.body!r} is not free to glow; "
-                f"bodies and their free parts are {free}"
-            )
-        free[light.body].remove(light.part)
 
 
 def place_camera(camera: Camera) -> None:
@@ -135,8 +106,8 @@ def place_camera(camera: Camera) -> None:
     scene.render.pixel_aspect_y = max(1.0, camera.fx / camera.fy)
     placed, data = scene.camera, scene.camera.data
     placed.matrix_world = Matrix(camera.c2w)
-    data.sensor_fit, data.sensor_width = "HORIZONTAL", _SENSOR_WIDTH
-    data.lens = camera.fx * _SENSOR_WIDTH / camera.width
+    data.sensor_fit, data.sensor_width = "HORIZONTAL", SENSOR_MM
+    data.lens = camera.fx * SENSOR_MM / camera.width
     data.shift_x = (camera.width / 2 - camera.cx) / camera.width
     data.shift_y = (camera.cy - camera.height / 2) * (camera.fx / camera.fy) / camera.width
     data.clip_start, data.clip_end = 1e-4, 1e5

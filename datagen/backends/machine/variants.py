@@ -1,4 +1,4 @@
-"""Chooses Mitsuba's variant for this machine before Mitsuba is imported: CUDA, else LLVM, else scalar.
+"""Chooses Mitsuba's variant for this machine before Mitsuba is imported: CUDA, else LLVM, else none.
 
 Neither `mitsuba` nor `drjit` is imported here: `import drjit` loads a libLLVM at once, so all is decided before.
 """
@@ -14,7 +14,7 @@ from typing import Any, Literal
 from multilight.datagen.backends.machine import llvm, probe
 from multilight.datagen.backends.protocol import BackendError
 
-VariantName = Literal["cuda_ad_rgb", "llvm_ad_rgb", "scalar_rgb"]
+VariantName = Literal["cuda_ad_rgb", "llvm_ad_rgb"]
 
 
 @dataclass(frozen=True)
@@ -28,9 +28,10 @@ class Gpu:
 
 @dataclass(frozen=True)
 class Choice:
-    """A variant, why it was chosen, the libLLVM that goes with it, and what was passed over (a line each)."""
+    """A variant (None: Mitsuba cannot run here), why, the libLLVM that goes with it, and what was passed over (a line
+    each)."""
 
-    variant: VariantName
+    variant: VariantName | None
     why: str
     library: llvm.Library | None = None
     passed_over: tuple[str, ...] = ()
@@ -57,7 +58,7 @@ def choose(gpu: Gpu, libraries: Callable[[], tuple[llvm.Library, ...]]) -> Choic
     library = llvm.best(found)
     if library is not None:
         return Choice("llvm_ad_rgb", f"no usable GPU, but LLVM {library.shown_version}", library, passed_over)
-    return Choice("scalar_rgb", f"neither a usable GPU nor LLVM {llvm.OLDEST_USABLE} or newer", None, passed_over)
+    return Choice(None, f"neither a usable GPU nor LLVM {llvm.OLDEST_USABLE} or newer", None, passed_over)
 
 
 def prepare_environment(choice: Choice) -> None:
@@ -79,6 +80,8 @@ def prepare_environment(choice: Choice) -> None:
 
 def try_out(choice: Choice) -> dict[str, Any]:
     """Render a tiny picture in a process of its own: `start`, `picture` (seconds), `mean`; or `fault`."""
+    if choice.variant is None:
+        return {"fault": choice.why}
     environment = os.environ | {llvm.PATH_VARIABLE: _library_path(choice)}
     return llvm.ask("render", choice.variant, *_needs(choice), environment=environment)
 

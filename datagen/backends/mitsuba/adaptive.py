@@ -3,7 +3,7 @@
 A picture's mean squared error is smallest where each pixel's number of samples is proportional to the standard
 deviation that one of them brings, over the root of what it costs (Neyman 1934, optimal allocation). A denoiser divides
 a pixel's variance further, by the number of neighbours that look alike to it, so that is counted in. Where little
-varies, Sobol' points converge faster than that rule knows, so a share goes to all pixels alike. Samples come in
+varies, Sobol' points converge faster than that rule knows, so a part goes to all pixels alike. Samples come in
 blocks, each of them well distributed in itself (a power of two of Sobol' points): FIRST for every pixel, whose
 differences tell the variance, and then the rest where they serve most.
 """
@@ -124,13 +124,13 @@ def _shared_out(need: Float32, cost: Float32, budget: float, most: int) -> Int64
 
     None gets more than `most`, so some of the budget may be left over.
     """
-    share = (need / max(float(need.mean()), 1e-30) + EVEN) / np.sqrt(cost)
+    weight = (need / max(float(need.mean()), 1e-30) + EVEN) / np.sqrt(cost)
 
     def counts(scale: float) -> Int64:
-        return np.clip(np.rint(scale * share - FIRST), 0, most).astype(np.int64)
+        return np.clip(np.rint(scale * weight - FIRST), 0, most).astype(np.int64)
 
-    low, high = 0.0, (most + FIRST + 1) / float(share.min())
+    low, high = 0.0, (most + FIRST + 1) / float(weight.min())
     while high - low > 1e-6 * high:
-        middle = (low + high) / 2
-        low, high = (middle, high) if counts(middle) @ cost <= budget else (low, middle)
+        midpoint = (low + high) / 2
+        low, high = (midpoint, high) if counts(midpoint) @ cost <= budget else (low, midpoint)
     return counts(low)

@@ -1,24 +1,41 @@
-"""A scene as flat arrays: one soup of triangles in the world, one row of numbers for each surface.
+"""A scene as flat arrays: all its triangles in the world, one row of numbers for each surface.
 
 Everything that differs from scene to scene is data here, so that one compiled kernel renders them all.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+from multilight.datagen.backends.parts import body_parts, glowing_parts
 from multilight.datagen.backends.protocol import BackendError
 from multilight.lights.spec import EmissiveLight, LightRig
 from multilight.scenes.arrays import Float32, Float64, Mask, UInt32
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.files.limits import open_picture
-from multilight.scenes.meshes import MeshPart, rectangle_part, sphere_part
-from multilight.scenes.spec import Body, Material, MeshAsset, Rectangle, SceneSpec, Sphere, Texture
+from multilight.scenes.meshes import MeshPart
+from multilight.scenes.spec import Material, SceneSpec, Texture
 
 NONE = 0xFFFFFFFF
 """Stands for no texture and no light."""
+VALUES = np.dtype([
+    ("base_color", np.float32, 3), ("opacity", np.float32),
+    ("roughness", np.float32), ("metallic", np.float32), ("ior", np.float32), ("coat", np.float32),
+    ("coat_roughness", np.float32), ("transmission", np.float32), ("unused", np.float32, 2),
+    ("base_color_repeat", np.float32, 2), ("roughness_repeat", np.float32, 2),
+    ("normal_repeat", np.float32, 2), ("glow_repeat", np.float32, 2),
+])  # fmt: skip
+"""A surface's numbers. The device reads them four at a time, a line each; so no column may lie in two lines."""
+LINKS = np.dtype([
+    ("base_color_texture", np.uint32, 3), ("body", np.uint32),
+    ("roughness_texture", np.uint32, 3), ("opacity_from_alpha", np.uint32),
+    ("normal_texture", np.uint32, 3), ("glow", np.uint32),
+    ("glow_texture", np.uint32, 3), ("unused", np.uint32),
+])  # fmt: skip
+"""What a surface refers to: offset, width and height of textures in `texels`, its body's number from 1, its light's."""
 
 
 @dataclass(frozen=True)
@@ -26,15 +43,15 @@ class SceneArrays:
     """Triangles and surfaces.
 
     vertices (V, 8) float32: position [m], shading normal, uv; faces (F, 4) uint32: three vertices and the surface's
-    row; faces of a body lie together, `spans` holds (first, count) by body. values (R, 20) float32 and links
-    (R, 16) uint32: the columns that `surfaces.py` names. texels uint32 RGBA8, all textures end to end.
+    row; faces of a body lie together, `spans` holds (first, count) by body. values (R,) of `VALUES` and links (R,) of
+    `LINKS`: a row a surface. texels uint32 RGBA8, all textures end to end.
     """
 
     vertices: Float32
     faces: UInt32
     spans: dict[str, tuple[int, int]]
-    values: Float32
-    links: UInt32
+    values: NDArray[np.void]
+    links: NDArray[np.void]
     texels: UInt32
     see_through: bool
     glass: bool
@@ -49,8 +66,8 @@ class SceneArrays:
 
     def let_light_through(self) -> Mask:
         """Tell which triangles are, or may be, less than opaque, (F,) bool."""
-        rows = (self.values[:, 3] < 1) | (self.links[:, 7] != 0)
-        return rows[self.faces[:, 3]]
+        surfaces = (self.values["opacity"] < 1) | (self.links["opacity_from_alpha"] != 0)
+        return np.asarray(surfaces[self.faces[:, 3]])
 
 
 class Textures:
@@ -82,81 +99,46 @@ def _read_words(path: Path) -> UInt32:
 
 def scene_arrays(scene: SceneSpec, rig: LightRig, library: AssetLibrary, textures: Textures) -> SceneArrays:
     """Flatten a scene; raises `BackendError` where an emissive light names no part of it, or an asset has changed."""
-    glows = glowing_parts(scene, rig)
+    materials = [material for body in scene.bodies for material in body.materials]
+    glowing = glowing_parts(scene, rig)
     atlas = _Atlas(textures)
     vertices: list[Float32] = []
     faces: list[UInt32] = []
-    values: list[list[float]] = []
-    links: list[list[int]] = []
+    values, links = np.zeros(len(materials), VALUES), np.zeros(len(materials), LINKS)
     spans: dict[str, tuple[int, int]] = {}
-    vertex = face = 0
+    vertex = face = row = 0
     for number, body in enumerate(scene.bodies, start=1):
         first = face
-        for part, mesh in enumerate(parts_of(body, library)):
-            material = body.materials[part]
-            placed = place_part(mesh, np.array(body.world_from_body))
-            row = np.full((len(mesh.faces), 1), len(values), np.uint32)
-            vertices.append(placed)
-            faces.append(np.concatenate([mesh.faces.astype(np.uint32) + np.uint32(vertex), row], axis=1))
-            glow = glows.get((body.name, part))
-            values.append(_values(material, None if glow is None else rig.lights[glow]))
-            links.append(_links(material, number, glow, None if glow is None else rig.lights[glow], atlas))
-            vertex += len(placed)
+        for part, mesh in enumerate(body_parts(body, library)):
+            light = glowing.get((body.name, part))
+            _write_surface(values[row], links[row], body.materials[part], light, atlas)
+            links[row]["body"] = number
+            links[row]["glow"] = NONE if light is None else rig.names.index(light.name)
+            vertices.append(_placed(mesh, np.array(body.world_from_body)))
+            surface = np.full((len(mesh.faces), 1), row, np.uint32)
+            faces.append(np.concatenate([mesh.faces.astype(np.uint32) + np.uint32(vertex), surface], axis=1))
+            vertex += len(mesh.vertices)
             face += len(mesh.faces)
+            row += 1
         spans[body.name] = (first, face - first)
-    materials = [material for body in scene.bodies for material in body.materials]
     return SceneArrays(
         vertices=np.concatenate(vertices),
         faces=np.concatenate(faces),
         spans=spans,
-        values=np.array(values, np.float32),
-        links=np.array(links, np.uint32),
+        values=values,
+        links=links,
         texels=atlas.words(),
         see_through=any(m.opacity < 1 or m.opacity_from_alpha for m in materials),
         glass=any(m.transmission > 0 for m in materials),
     )
 
 
-def parts_of(body: Body, library: AssetLibrary) -> Sequence[MeshPart]:
-    """Return a body's triangles in its own frame, a part for each of its materials."""
-    match body.geometry:
-        case Sphere() as shape:
-            return (sphere_part(shape, body.materials[0]),)
-        case Rectangle() as shape:
-            return (rectangle_part(shape, body.materials[0]),)
-        case MeshAsset() as shape:
-            mesh = library.mesh(shape.asset)
-            if len(mesh.parts) != shape.parts:
-                raise BackendError(
-                    f"asset {shape.asset!r} has {len(mesh.parts)} part(s), not {shape.parts}; "
-                    "make the scene again with the assets that are installed now"
-                )
-            return mesh.parts
-
-
-def place_part(part: MeshPart, pose: Float64) -> Float32:
+def _placed(part: MeshPart, pose: Float64) -> Float32:
     """Place a part in the world: (V, 8) float32 position, unit normal, uv."""
     normals = part.normals @ np.linalg.inv(pose[:3, :3])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
     points = part.vertices @ pose[:3, :3].T + pose[:3, 3]
     return np.concatenate([points, normals, part.uv], axis=1).astype(np.float32)
-
-
-def glowing_parts(scene: SceneSpec, rig: LightRig) -> dict[tuple[str, int], int]:
-    """Map (body, part) to the light's number; fails on a light that names no part, or one that another has."""
-    glows: dict[tuple[str, int], int] = {}
-    parts = {body.name: len(body.materials) for body in scene.bodies}
-    for number, light in enumerate(rig.lights):
-        if not isinstance(light, EmissiveLight):
-            continue
-        key = (light.body, light.part)
-        if light.part >= parts.get(light.body, 0) or key in glows:
-            raise BackendError(
-                f"light {light.name!r}: part {light.part} of body {light.body!r} is not free to glow; "
-                f"bodies and their numbers of parts are {parts}"
-            )
-        glows[key] = number
-    return glows
 
 
 class _Atlas:
@@ -184,26 +166,19 @@ class _Atlas:
         return np.concatenate(self._words)
 
 
-def _values(material: Material, glow: object) -> list[float]:
-    """Columns of `values`; see `surfaces.Surfaces`."""
-    textures = (material.base_color_texture, material.roughness_texture, material.normal_texture)
-    emission = glow.texture if isinstance(glow, EmissiveLight) else None
-    repeats = [r for t in (*textures, emission) for r in ((1.0, 1.0) if t is None else t.repeat)]
-    return [
-        *material.base_color, material.opacity,
-        material.roughness, material.metallic, material.ior, material.coat,
-        material.coat_roughness, material.transmission, 0.0, 0.0,
-        *repeats[:4],
-        *repeats[4:],
-    ]  # fmt: skip
-
-
-def _links(material: Material, body: int, glow: int | None, light: object, atlas: _Atlas) -> list[int]:
-    """Columns of `links`; see `surfaces.Surfaces`."""
-    emission = light.texture if isinstance(light, EmissiveLight) else None
-    return [
-        *atlas.place(material.base_color_texture), body,
-        *atlas.place(material.roughness_texture), int(material.opacity_from_alpha),
-        *atlas.place(material.normal_texture), NONE if glow is None else glow,
-        *atlas.place(emission), 0,
-    ]  # fmt: skip
+def _write_surface(
+    values: np.void, links: np.void, material: Material, light: EmissiveLight | None, atlas: _Atlas
+) -> None:
+    """Fill a surface's row in with its material, and with the picture that it glows in."""
+    for name in ("base_color", "opacity", "roughness", "metallic", "ior", "coat", "coat_roughness", "transmission"):
+        values[name] = getattr(material, name)
+    links["opacity_from_alpha"] = material.opacity_from_alpha
+    textures = {
+        "base_color": material.base_color_texture,
+        "roughness": material.roughness_texture,
+        "normal": material.normal_texture,
+        "glow": None if light is None else light.texture,
+    }
+    for name, texture in textures.items():
+        values[f"{name}_repeat"] = (1.0, 1.0) if texture is None else texture.repeat
+        links[f"{name}_texture"] = atlas.place(texture)

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from types import TracebackType
 from typing import Self
 
 import drjit as dr
@@ -16,16 +15,16 @@ from multilight.datagen.backends.mitsuba.cameras import Lens
 from multilight.datagen.backends.mitsuba.device import on_device
 from multilight.datagen.backends.mitsuba.film import Film, Key, Values
 from multilight.datagen.backends.mitsuba.geometry import geometry_buffers
-from multilight.datagen.backends.mitsuba.integrator import Book, World, trace
+from multilight.datagen.backends.mitsuba.integrator import PathResult, World, trace
 from multilight.datagen.backends.mitsuba.lights import emitters_of
 from multilight.datagen.backends.mitsuba.sampling import Sampler, stream_of
-from multilight.datagen.backends.mitsuba.surfaces import Surfaces, build
-from multilight.datagen.backends.protocol import BackendError, RenderJob, RenderSettings, split_variant
+from multilight.datagen.backends.mitsuba.surfaces import Surfaces, accelerate
+from multilight.datagen.backends.protocol import BackendError, RenderJob, RenderSettings, split_variant, view_camera
 from multilight.datagen.storage.layers import LayerStack
 from multilight.lights.spec import EmissiveLight, LightRig
 from multilight.scenes.arrays import Float32
 from multilight.scenes.assets.library import AssetLibrary
-from multilight.scenes.spec import Camera, SceneSpec
+from multilight.scenes.spec import SceneSpec
 
 LANES = 1 << 22
 """Samples traced at once: enough to keep a GPU busy, few enough for memory."""
@@ -51,21 +50,18 @@ class MitsubaBackend:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._synced = None
 
     def render(self, job: RenderJob) -> LayerStack:
         """Render one job; raises `BackendError` with the value and the remedy."""
         action, name = split_variant(job.scene, job.variant)
-        if not 0 <= job.view < len(job.scene.cameras):
-            raise BackendError(f"view {job.view} is not in 0..{len(job.scene.cameras) - 1}")
+        camera = view_camera(job)
         dr.set_thread_count(job.settings.threads or dr.thread_count())
         synced = self._sync(job)
         view = synced.view(job.view, job.settings)
         if name is None:
-            geometry = geometry_buffers(synced.world, job.scene.cameras[job.view], view.uncovered)
+            geometry = geometry_buffers(synced.world, camera, view.uncovered)
             return replace(view.stack(job.rig, view.everything), geometry=geometry)
         if action == "without":
             return replace(view.stack(job.rig, view.without[name], name), shown=view.shown[name])
@@ -87,14 +83,14 @@ class MitsubaBackend:
             bits[scene.instance_id(name)] = 1 << place
         seen = on_device(mi.UInt32, bits)
         changing = arrays.of_bodies(scene.insertable) | arrays.let_light_through()
-        fixed = build(arrays, ~changing)
+        fixed = accelerate(arrays, ~changing)
 
         def world(removed: str | None) -> World:
             there = ~arrays.of_bodies([] if removed is None else [removed])
-            whole = build(arrays, there)
+            whole = accelerate(arrays, there)
             if whole is None:
                 raise BackendError(f"the scene has no triangles without {removed!r}")
-            return World(whole, fixed, build(arrays, changing & there), surfaces, emitters, self._tables, seen)
+            return World(whole, fixed, accelerate(arrays, changing & there), surfaces, emitters, self._tables, seen)
 
         return {removed: world(removed) for removed in (None, *scene.insertable)}
 
@@ -131,15 +127,15 @@ class _Synced:
 
     def __init__(self, scene: SceneSpec, rig: LightRig, backend: MitsubaBackend) -> None:
         self.scene, self.rig = scene, rig
-        self._worlds = backend.worlds(scene, rig)
-        self._seed = int(scene.sha256()[:8], 16)
+        self.worlds = backend.worlds(scene, rig)
+        self.seed = int(scene.sha256()[:8], 16)
         self._key: tuple[int, RenderSettings] | None = None
         self._view: _Pictures | None = None
 
     @property
     def world(self) -> World:
         """The whole scene."""
-        return self._worlds[None]
+        return self.worlds[None]
 
     def view(self, number: int, settings: RenderSettings) -> _Pictures:
         """Render all variants of a view, or return them where it was the last."""
@@ -152,16 +148,15 @@ class _Synced:
         camera = self.scene.cameras[number]
         film = Film(camera.height, camera.width)
         lens = Lens(camera)
-
         names = self.scene.insertable
-        told = (("all", ""), *(("without", name) for name in names))
+        keys = (("all", ""), *(("without", name) for name in names))
 
         def sample(blocks: Blocks, squares: Sequence[Key] = ()) -> Float32:
             """Add samples to the film; returns what each of their blocks cost."""
             costs, at_once = [], max(1, LANES // blocks.size)
             for start in range(0, len(blocks), at_once):
                 part = blocks[start : start + at_once]
-                batch = _Batch(self, lens, camera, settings, (number, part))
+                batch = _Batch(self, lens, settings, number, part)
                 film.add(part, batch.values(), squares=squares)
                 costs.append(batch.cost())
             return np.concatenate(costs)
@@ -170,10 +165,10 @@ class _Synced:
         if settings.spp == first.size:
             sample(first)
         else:
-            cost = sample(first, told).reshape(camera.height, camera.width, FIRST).mean(axis=-1)
+            cost = sample(first, keys).reshape(camera.height, camera.width, FIRST).mean(axis=-1)
             pilots = [
                 Pilot(*film.variance(key, FIRST), np.concatenate([*film.mean(("guides", key[1]))], axis=-1))
-                for key in told
+                for key in keys
             ]
             sample(further_blocks(first, pilots, cost, settings.spp))
         return _Pictures(
@@ -190,56 +185,53 @@ class _Synced:
 class _Batch:
     """Some samples of a view's pixels, block after block."""
 
-    def __init__(
-        self, synced: _Synced, lens: Lens, camera: Camera, settings: RenderSettings, part: tuple[int, Blocks]
-    ) -> None:
-        self._synced, self._lens, self._camera, self._settings = synced, lens, camera, settings
-        number, blocks = part
-        self._size = blocks.size
+    def __init__(self, synced: _Synced, lens: Lens, settings: RenderSettings, number: int, blocks: Blocks) -> None:
+        self._synced, self._lens, self._settings = synced, lens, settings
+        self._size, self._width = blocks.size, synced.scene.cameras[number].width
         self._pixel, self._first = on_device(mi.UInt32, blocks.pixel), on_device(mi.UInt32, blocks.first)
         # One seed for all variants of a view.
-        self._seed = dr.opaque(mi.UInt32, (synced._seed + number) % 2**32)
-        self._book = self._trace(None, dr.arange(mi.UInt32, len(blocks) * blocks.size))
+        self._seed = dr.opaque(mi.UInt32, (synced.seed + number) % 2**32)
+        self._result = self._trace(None, dr.arange(mi.UInt32, len(blocks) * blocks.size))
 
     def values(self) -> Iterator[tuple[Key, Values]]:
         """Give what the samples bring to each variant and mask of an object."""
-        scene, book = self._synced.scene, self._book
-        yield ("all", ""), book.layers
-        yield ("guides", ""), [book.albedo, book.normal]
-        yield ("uncovered", ""), [mi.Color3f(dr.select(book.covered, mi.Float(0), 1))]
+        scene, result = self._synced.scene, self._result
+        yield ("all", ""), result.layers
+        yield ("guides", ""), [result.albedo, result.normal]
+        yield ("uncovered", ""), [mi.Color3f(dr.select(result.covered, mi.Float(0), 1))]
         for place, name in enumerate(scene.insertable):
-            mine = book.first == scene.instance_id(name)
-            seen = (book.seen >> place) & 1 != 0
+            mine = result.first == scene.instance_id(name)
+            seen = (result.seen >> place) & 1 != 0
             yield ("masks", name), [mi.Color3f(dr.select(mine, mi.Float(1), 0), dr.select(seen, mi.Float(1), 0), 0)]
-            yield ("foreground", name), [dr.select(mine, layer, 0) for layer in book.layers]
-            *layers, albedo, normal = self._without(book, name, place)
+            yield ("foreground", name), [dr.select(mine, layer, 0) for layer in result.layers]
+            *layers, albedo, normal = self._without(result, name, place)
             yield ("without", name), layers
             yield ("guides", name), [albedo, normal]
 
     def cost(self) -> Float32:
         """Return how often rays were followed for the samples of each of N blocks, in all variants, (N,)."""
-        book = self._book
-        steps = mi.Float(book.steps * (1 + dr.popcnt(book.met)))
+        result = self._result
+        steps = mi.Float(result.steps * (1 + dr.popcnt(result.met)))
         return np.array(dr.block_sum(steps, self._size))
 
-    def _without(self, book: Book, name: str, place: int) -> list[mi.Color3f]:
+    def _without(self, result: PathResult, name: str, place: int) -> list[mi.Color3f]:
         """Trace again, without an object, the samples that met it; the others are what they were.
 
         Returns the layers, and the albedo and normal that guide their denoiser.
         """
-        layers = [mi.Color3f(layer) for layer in (*book.layers, book.albedo, book.normal)]
-        index = dr.compress((book.met >> place) & 1 != 0)
+        layers = [mi.Color3f(layer) for layer in (*result.layers, result.albedo, result.normal)]
+        index = dr.compress((result.met >> place) & 1 != 0)
         if dr.width(index):
             again = self._trace(name, index)
             for layer, new in zip(layers, (*again.layers, again.albedo, again.normal), strict=True):
                 dr.scatter(layer, mi.Color3f(new), index)
         for number, light in enumerate(self._synced.rig.lights):
             if isinstance(light, EmissiveLight) and light.body == name:
-                layers[number] = dr.zeros(mi.Color3f, dr.width(book.met))
+                layers[number] = dr.zeros(mi.Color3f, dr.width(result.met))
         return layers
 
-    def _trace(self, removed: str | None, index: mi.UInt32) -> Book:
-        size, width = dr.opaque(mi.UInt32, self._size), dr.opaque(mi.UInt32, self._camera.width)
+    def _trace(self, removed: str | None, index: mi.UInt32) -> PathResult:
+        size, width = dr.opaque(mi.UInt32, self._size), dr.opaque(mi.UInt32, self._width)
         block = index // size
         pixel = dr.gather(mi.UInt32, self._pixel, block)
         sample = dr.gather(mi.UInt32, self._first, block) + (index - block * size)
@@ -248,6 +240,6 @@ class _Batch:
         row = pixel // width
         film = mi.Point2f(mi.Float(pixel - row * width) + inside.x, mi.Float(row) + inside.y)
         ray = self._lens.rays(film, sampler.next_2d(LENS, BEFORE_PATHS))
-        book = trace(self._synced._worlds[removed], ray, sampler, max_bounces=self._settings.max_bounces)
-        dr.eval(book.layers, book.met, book.seen, book.first, book.covered, book.albedo, book.normal, book.steps)
-        return book
+        result = trace(self._synced.worlds[removed], ray, sampler, max_bounces=self._settings.max_bounces)
+        dr.eval(result)
+        return result

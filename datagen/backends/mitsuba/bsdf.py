@@ -14,6 +14,7 @@ import mitsuba as mi
 import numpy as np
 from scipy import integrate
 
+from multilight.datagen.backends.mitsuba.device import CLAMPED
 from multilight.datagen.backends.mitsuba.surfaces import Hit
 
 LEAST_ALPHA = 1e-3
@@ -56,9 +57,9 @@ def _visible_normal(wi: mi.Vector3f, alpha: mi.Float, u: mi.Point2f) -> mi.Vecto
 class Tables:
     """Albedos of GGX reflection by (cosine, roughness, index), integrated once on the device.
 
-    `E`: of a perfect reflector (what single scattering keeps); `share`: where a dielectric's albedo, energy restored,
-    lies between its reflectance at normal incidence (0) and one (1); and what glass keeps, reflected and refracted,
-    seen from outside and from inside. The index enters as sqrt((ior - 1) / (ior + 1)).
+    `E`: of a perfect reflector (what single scattering keeps); `fraction`: where a dielectric's albedo, energy
+    restored, lies between its reflectance at normal incidence (0) and one (1); and what glass keeps, reflected and
+    refracted, seen from outside and from inside. The index enters as sqrt((ior - 1) / (ior + 1)).
     """
 
     COSINES, ROUGHNESSES, INDICES = 32, 16, 12
@@ -77,27 +78,23 @@ class Tables:
         kept, reflected, outside = _integrate(cosine, alpha, _ior_of(z))
         inside = _integrate(cosine, alpha, dr.rcp(_ior_of(z)))[2]
         zero = dr.square(dr.square(z))
-        share = dr.clip((reflected / kept - zero) / (1 - zero), 0, 1)
+        fraction = dr.clip((reflected / kept - zero) / (1 - zero), 0, 1)
         shape = (self.COSINES, self.ROUGHNESSES, self.INDICES)
-        both = np.stack([np.array(v).reshape(shape) for v in (kept, share, outside, inside)], axis=-1)
+        both = np.stack([np.array(v).reshape(shape) for v in (kept, fraction, outside, inside)], axis=-1)
         # Axes of a texture run x, y, z = last to first.
-        self._table = mi.Texture3f(mi.TensorXf(both), filter_mode=dr.FilterMode.Linear, wrap_mode=dr.WrapMode.Clamp)
+        self._table = mi.Texture3f(mi.TensorXf(both), **CLAMPED)
         mu = np.linspace(0, 1, self.COSINES)
         average = 2 * integrate.trapezoid(both[..., 0, 0] * mu[:, None], mu, axis=0)
-        self._average = mi.Texture1f(
-            mi.TensorXf(average[:, None].astype(np.float32)),
-            filter_mode=dr.FilterMode.Linear,
-            wrap_mode=dr.WrapMode.Clamp,
-        )
+        self._average = mi.Texture1f(mi.TensorXf(average[:, None].astype(np.float32)), **CLAMPED)
 
     def lookup(self, cosine: mi.Float, roughness: mi.Float, ior: mi.Float) -> tuple[mi.Float, ...]:
-        """Return E, its average over the hemisphere, `share`, and what glass keeps from outside and from inside."""
+        """Return E, its average over the hemisphere, `fraction`, and what glass keeps from outside and from inside."""
         z = dr.sqrt(dr.maximum(ior - 1, 0) / (ior + 1)) / self.GREATEST_INDEX
         sizes = (self.INDICES, self.ROUGHNESSES, self.COSINES)
         where = [(v * (n - 1) + 0.5) / n for v, n in zip((z, roughness, cosine), sizes, strict=True)]
-        kept, share, outside, inside = self._table.eval(mi.Point3f(*where))
+        kept, fraction, outside, inside = self._table.eval(mi.Point3f(*where))
         (average,) = self._average.eval(mi.Point1f(where[1]))
-        return kept, average, share, outside, inside
+        return kept, average, fraction, outside, inside
 
 
 def _ior_of(z: mi.Float) -> mi.Float:
@@ -149,12 +146,12 @@ def _restored(kept: mi.Float, average: mi.Float, fss: mi.Color3f | mi.Float) -> 
 
 def _layer(tables: Tables, cosine: mi.Float, roughness: mi.Float, ior: mi.Float) -> tuple[mi.Float, mi.Float]:
     """Return what a dielectric layer's single scattering is multiplied with, and the layer's albedo."""
-    kept, average, share, _, _ = tables.lookup(cosine, roughness, ior)
+    kept, average, fraction, _, _ = tables.lookup(cosine, roughness, ior)
     # Imageworks' fit of the hemispherical reflectance of a dielectric (Kulla and Conty 2017).
     hemispherical = (ior - 1) / (4.08567 + 1.00071 * ior)
     restored = _restored(kept, average, hemispherical)
     zero = dr.square((ior - 1) / (ior + 1))
-    return restored, restored * kept * (zero + (1 - zero) * share)
+    return restored, restored * kept * (zero + (1 - zero) * fraction)
 
 
 @dataclass

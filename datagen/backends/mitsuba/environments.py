@@ -1,4 +1,4 @@
-"""Equirectangular maps as Mitsuba's `envmap` takes them, for every variant."""
+"""Equirectangular maps as Mitsuba's `envmap` takes them."""
 
 import math
 from typing import Any
@@ -11,16 +11,16 @@ from multilight.scenes.arrays import Float32
 
 def envmap(pixels: Float32, rotation: float) -> dict[str, Any]:
     """Describe an emitter that shows a map, (H, W, 3) float32, as `lights.spec.EnvironmentLight` lays it out."""
-    turn = mi.ScalarTransform4f().rotate([0, 0, 1], math.degrees(rotation))
+    about_z = mi.ScalarTransform4f().rotate([0, 0, 1], math.degrees(rotation))
     # Mitsuba's maps have +Y up and their centre column along +Z.
     axes = mi.ScalarTransform4f(np.array([[0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]]))
-    return {"type": "envmap", "bitmap": mi.Bitmap(_rows_at_poles(pixels)), "to_world": turn @ axes}
+    return {"type": "envmap", "bitmap": mi.Bitmap(_rows_at_poles(pixels)), "to_world": about_z @ axes}
 
 
 def _rows_at_poles(pixels: Float32) -> Float32:
     """Put rows between the rows: Mitsuba's first and last row lie on the poles, ours half a row off.
 
-    Interpolated in Mitsuba's way, the result is the map interpolated in ours.
+    Interpolated as Mitsuba does, the result is the map interpolated as we do.
     """
     between = (pixels[1:] + pixels[:-1]) / 2
     result = np.empty((2 * len(pixels) + 1, *pixels.shape[1:]), np.float32)

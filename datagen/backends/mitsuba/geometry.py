@@ -15,7 +15,7 @@ HALF = 0.5
 
 
 def geometry_buffers(world: World, camera: Camera, uncovered: Float32) -> GeometryBuffers:
-    """Trace one ray a pixel, of the pinhole. `uncovered` (H, W) is the share of samples that met no surface."""
+    """Trace one ray a pixel, of the pinhole. `uncovered` (H, W) is the fraction of samples that met no surface."""
     width, height = camera.width, camera.height
     index = dr.arange(mi.UInt32, width * height)
     row = index // dr.opaque(mi.UInt32, width)

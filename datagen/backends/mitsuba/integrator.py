@@ -1,8 +1,8 @@
 """The per-light path integrator: one path, a sum for each light.
 
-Mitsuba's own `path` integrator, except that light is booked to the emitter that it came from. At each vertex
+Mitsuba's own `path` integrator, except that light is credited to the emitter that it came from. At each vertex
 every light is sampled once, or (`one_light`) one of them at random as the built-in integrator does; hits are
-weighted against that by the power heuristic (Veach 1997). The book also says which removable bodies a sample has
+weighted against that by the power heuristic (Veach 1997). The result also says which removable bodies a sample has
 met, so that a variant without one of them traces only those samples again.
 """
 
@@ -14,7 +14,7 @@ import mitsuba as mi
 from multilight.datagen.backends.mitsuba import bsdf
 from multilight.datagen.backends.mitsuba.lights import AnyEmitter, Environment, Glow, Sample
 from multilight.datagen.backends.mitsuba.sampling import Sampler
-from multilight.datagen.backends.mitsuba.surfaces import Hit, Soup, Surfaces
+from multilight.datagen.backends.mitsuba.surfaces import Hit, Surfaces, TriangleSet
 
 SEE_THROUGH_SURFACES = 32
 FILTER_GLOSSY = 0.25
@@ -33,9 +33,9 @@ class World:
     see-through: light that is blocked by the former is blocked whatever is removed.
     """
 
-    whole: Soup
-    fixed: Soup | None
-    changing: Soup | None
+    whole: TriangleSet
+    fixed: TriangleSet | None
+    changing: TriangleSet | None
     surfaces: Surfaces
     emitters: list[AnyEmitter]
     tables: bsdf.Tables
@@ -44,7 +44,7 @@ class World:
 
 
 @dataclass
-class Book:
+class PathResult:
     """What one sample brings: a colour for each light, the removable bodies it met, and what it saw first."""
 
     layers: list[mi.Color3f]
@@ -61,6 +61,30 @@ class Book:
     """Of the removable bodies that were met, those that the path saw: straight, in mirrors or through glass."""
 
 
+@dataclass
+class PathState:
+    """A path on its way, a lane each: the ray `o`, `d` to follow, and what came before it."""
+
+    active: mi.Bool
+    o: mi.Point3f
+    d: mi.Vector3f
+    depth: mi.UInt32
+    """Bounces so far."""
+    passes: mi.UInt32
+    """See-through surfaces passed so far."""
+    travelled: mi.Float
+    """Distance from `origin` to `o` [m], which differ after see-through surfaces."""
+    throughput: mi.Color3f
+    pdf: mi.Float
+    """Density [1/sr] with which the last bounce's direction was sampled."""
+    least_pdf: mi.Float
+    """The least of all bounces."""
+    origin: mi.Point3f
+    """Where the last bounce was, or the camera."""
+    sampler: Sampler
+    result: PathResult
+
+
 def _weight(a: mi.Float, b: mi.Float) -> mi.Float:
     """Power heuristic."""
     a2 = a * a
@@ -74,11 +98,11 @@ def _start(p: mi.Point3f, ng: mi.Normal3f, d: mi.Vector3f) -> mi.Point3f:
 
 
 def _blocked(world: World, hit: Hit, found: Sample, active: mi.Bool) -> tuple[mi.Float, mi.UInt32]:
-    """Return the share of light that gets through, and the removable bodies that stand in its way."""
+    """Return the fraction of light that gets through, and the removable bodies that stand in its way."""
     o = _start(hit.p, hit.ng, found.d)
-    way = hit.p + found.d * found.distance - o
-    distance = dr.norm(way)
-    ray = mi.Ray3f(o, way / distance, distance * (1 - dr.epsilon(mi.Float) * 15000), 0.0, mi.Color0f())
+    offset = hit.p + found.d * found.distance - o
+    distance = dr.norm(offset)
+    ray = mi.Ray3f(o, offset / distance, distance * (1 - dr.epsilon(mi.Float) * 15000), 0.0, mi.Color0f())
     free = mi.Bool(active)
     if world.fixed is not None:
         free &= ~world.fixed.scene.ray_test(ray, active=active)
@@ -93,8 +117,8 @@ def _blocked(world: World, hit: Hit, found: Sample, active: mi.Bool) -> tuple[mi
     return dr.select(free & ~stopped, mi.Float(1), 0), met
 
 
-def _dimmed(world: World, changing: Soup, ray: mi.Ray3f, active: mi.Bool) -> tuple[mi.Float, mi.UInt32]:
-    """`_blocked` by triangles that may be see-through: each lets its share pass."""
+def _dimmed(world: World, changing: TriangleSet, ray: mi.Ray3f, active: mi.Bool) -> tuple[mi.Float, mi.UInt32]:
+    """`_blocked` by triangles that may be see-through: each lets a fraction pass."""
 
     def step(active, o, left, passed, met, count):  # type: ignore[no-untyped-def]
         found = changing.scene.ray_intersect_preliminary(mi.Ray3f(o, ray.d, left, 0.0, mi.Color0f()), active=active)
@@ -115,129 +139,127 @@ def _dimmed(world: World, changing: Soup, ray: mi.Ray3f, active: mi.Bool) -> tup
     return state[3], state[4]
 
 
-def trace(world: World, ray: mi.Ray3f, sampler: Sampler, *, max_bounces: int, one_light: bool = False) -> Book:
+def trace(world: World, ray: mi.Ray3f, sampler: Sampler, *, max_bounces: int, one_light: bool = False) -> PathResult:
     """Trace one path a lane; radiance is that of its first point, as seen along the ray.
 
     Lights but the environment and glowing bodies are invisible to the ray itself, and block nothing.
     """
-    lights = len(world.emitters)
-    state = {
-        "active": mi.Bool(True),
-        "o": mi.Point3f(ray.o),
-        "d": mi.Vector3f(ray.d),
-        "depth": mi.UInt32(0),
-        "passes": mi.UInt32(0),
-        "travelled": mi.Float(0),
-        "throughput": mi.Color3f(1),
-        "pdf": mi.Float(0),
-        "least_pdf": mi.Float(dr.inf),
-        "origin": mi.Point3f(ray.o),
-        "sampler": sampler,
-        "book": Book(
-            [mi.Color3f(0) for _ in range(lights)],
-            mi.UInt32(0),
-            mi.UInt32(0),
-            mi.Bool(False),
-            mi.Color3f(0),
-            mi.Normal3f(0),
-            mi.UInt32(0),
-            mi.UInt32(0),
+    state = PathState(
+        active=mi.Bool(True),
+        o=mi.Point3f(ray.o),
+        d=mi.Vector3f(ray.d),
+        depth=mi.UInt32(0),
+        passes=mi.UInt32(0),
+        travelled=mi.Float(0),
+        throughput=mi.Color3f(1),
+        pdf=mi.Float(0),
+        least_pdf=mi.Float(dr.inf),
+        origin=mi.Point3f(ray.o),
+        sampler=sampler,
+        result=PathResult(
+            layers=[mi.Color3f(0) for _ in world.emitters],
+            met=mi.UInt32(0),
+            first=mi.UInt32(0),
+            covered=mi.Bool(False),
+            albedo=mi.Color3f(0),
+            normal=mi.Normal3f(0),
+            steps=mi.UInt32(0),
+            seen=mi.UInt32(0),
         ),
-    }
-
-    def step(s):  # type: ignore[no-untyped-def]
-        return (_vertex(world, s, max_bounces, one_light),)
-
-    (state,) = dr.while_loop((state,), lambda s: s["active"], step, label="paths")
-    return state["book"]
-
-
-def _vertex(world: World, s: dict, max_bounces: int, one_light: bool) -> dict:
-    active, depth, book, sampler = s["active"], s["depth"], s["book"], s["sampler"]
-    pi = world.whole.scene.ray_intersect_preliminary(
-        mi.Ray3f(s["o"], s["d"], dr.inf, 0.0, mi.Color0f()), coherent=depth == 0, active=active
     )
-    book.steps += dr.select(active, mi.UInt32(1), 0)
-    found = active & pi.is_valid()
+
+    def step(path: PathState) -> tuple[PathState]:
+        _vertex(world, path, max_bounces, one_light)
+        return (path,)
+
+    (state,) = dr.while_loop((state,), lambda path: path.active, step, label="paths")
+    return state.result
+
+
+def _vertex(world: World, path: PathState, max_bounces: int, one_light: bool) -> None:
+    """Follow the ray to what it meets, credit the light found there, and go on from there, or end."""
+    depth, result = path.depth, path.result
+    pi = world.whole.scene.ray_intersect_preliminary(
+        mi.Ray3f(path.o, path.d, dr.inf, 0.0, mi.Color0f()), coherent=depth == 0, active=path.active
+    )
+    result.steps += dr.select(path.active, mi.UInt32(1), 0)
+    found = path.active & pi.is_valid()
     face = world.whole.face(pi, found)
-    hit = world.surfaces.hit(face, pi.prim_uv, mi.Ray3f(s["o"], s["d"]), found)
+    hit = world.surfaces.hit(face, pi.prim_uv, mi.Ray3f(path.o, path.d), found)
     bit = dr.select(found, dr.gather(mi.UInt32, world.bits, hit.body, found), 0)
-    book.met |= bit
-    book.seen |= dr.select(s["least_pdf"] > SHARP, bit, 0)
-    distance = s["travelled"] + dr.select(found, pi.t, dr.inf)
+    result.met |= bit
+    result.seen |= dr.select(path.least_pdf > SHARP, bit, 0)
+    distance = path.travelled + dr.select(found, pi.t, dr.inf)
     solid = mi.Bool(found)
     if world.surfaces.see_through:
-        solid &= sampler.next_1d(OPACITY, depth + s["passes"] * 64) < hit.opacity
+        solid &= path.sampler.next_1d(OPACITY, depth + path.passes * 64) < hit.opacity
     first = depth == 0
     seen = first & solid
-    book.first = dr.select(seen, hit.body, book.first)
-    book.covered |= first & found
-    book.albedo = dr.select(seen, hit.base, book.albedo)
-    book.normal = dr.select(seen, hit.ns, book.normal)
-    _emission(world, s, hit, distance, (solid, found), 1 / len(world.emitters) if one_light else 1.0)
+    result.first = dr.select(seen, hit.body, result.first)
+    result.covered |= first & found
+    result.albedo = dr.select(seen, hit.base, result.albedo)
+    result.normal = dr.select(seen, hit.ns, result.normal)
+    _emission(world, path, hit, distance, (solid, found), 1 / len(world.emitters) if one_light else 1.0)
     on = solid & (depth <= max_bounces)
     frame = mi.Frame3f(hit.ns)
-    least = 4 if FILTER_GLOSSY == 0 else s["least_pdf"] / FILTER_GLOSSY
+    least = 4 if FILTER_GLOSSY == 0 else path.least_pdf / FILTER_GLOSSY
     blur = dr.select(least < 1, dr.sqrt(dr.maximum(1 - least, 0)) * 0.5, 0)
-    c = bsdf.closure(world.tables, hit, frame.to_local(-s["d"]), blur, glass=world.surfaces.glass)
-    (_direct_one if one_light else _direct)(world, s, hit, c, frame, on)
-    _bounce(s, hit, c, frame, on)
+    c = bsdf.closure(world.tables, hit, frame.to_local(-path.d), blur, glass=world.surfaces.glass)
+    (_direct_one if one_light else _direct)(world, path, hit, c, frame, on)
+    _bounce(path, hit, c, frame, on)
     if world.surfaces.see_through:
-        passing = found & ~solid & (s["passes"] < SEE_THROUGH_SURFACES)
-        s["o"] = dr.select(passing, mi.Point3f(_start(hit.p, hit.ng, s["d"])), s["o"])
-        s["passes"] = dr.select(passing, s["passes"] + 1, s["passes"])
-        s["travelled"] = dr.select(passing, distance, s["travelled"])
-        s["active"] |= passing
-    return s
+        passing = found & ~solid & (path.passes < SEE_THROUGH_SURFACES)
+        path.o = dr.select(passing, mi.Point3f(_start(hit.p, hit.ng, path.d)), path.o)
+        path.passes = dr.select(passing, path.passes + 1, path.passes)
+        path.travelled = dr.select(passing, distance, path.travelled)
+        path.active |= passing
 
 
-def _emission(world: World, s: dict, hit: Hit, distance: mi.Float, met: tuple[mi.Bool, mi.Bool], chance: float) -> None:
-    """Book what the ray itself meets: the environment, glowing surfaces and, after a bounce, lamps.
+def _emission(
+    world: World, path: PathState, hit: Hit, distance: mi.Float, met: tuple[mi.Bool, mi.Bool], chance: float
+) -> None:
+    """Credit what the ray itself meets: the environment, glowing surfaces and, after a bounce, lamps.
 
     `met`: whether there is an opaque surface, and whether there is any. `chance`: of a light to be sampled.
     """
-    first = s["depth"] == 0
+    first = path.depth == 0
     solid, found = met
     for number, light in enumerate(world.emitters):
         if light.delta:
             continue
         if isinstance(light, Glow):
             there = solid & (hit.glow == number)
-            pdf = light.density(dr.dot(hit.ng, s["d"]), dr.norm(hit.p - s["origin"]))
+            pdf = light.density(dr.dot(hit.ng, path.d), dr.norm(hit.p - path.origin))
             radiance = light.radiance() * world.surfaces.glow_texture(hit, there)
         else:
-            meets, radiance, pdf = light.met(s["origin"], s["d"])
-            there = s["active"] & (~found if light.distant else (meets > s["travelled"]) & (meets < distance))
+            meets, radiance, pdf = light.met(path.origin, path.d)
+            there = path.active & (~found if light.distant else (meets > path.travelled) & (meets < distance))
             if not isinstance(light, Environment):
                 there &= ~first
-        weight = dr.select(first, 1, _weight(s["pdf"], pdf * chance))
-        s["book"].layers[number] += dr.select(there, s["throughput"] * radiance * weight, 0)
+        weight = dr.select(first, 1, _weight(path.pdf, pdf * chance))
+        path.result.layers[number] += dr.select(there, path.throughput * radiance * weight, 0)
 
 
-def _direct(world: World, s: dict, hit: Hit, c: bsdf.Closure, frame: mi.Frame3f, on: mi.Bool) -> None:
+def _direct(world: World, path: PathState, hit: Hit, c: bsdf.Closure, frame: mi.Frame3f, on: mi.Bool) -> None:
     """Sample every light."""
-    book = s["book"]
+    result = path.result
     for number, light in enumerate(world.emitters):
-        found = light.sample(hit.p, s["sampler"].next_2d(LIGHT + number, s["depth"]))
+        found = light.sample(hit.p, path.sampler.next_2d(LIGHT + number, path.depth))
         value, pdf = bsdf.evaluate(c, frame.to_local(found.d))
         weight = mi.Float(1) if light.delta else _weight(found.pdf, pdf)
-        light_in = s["throughput"] * value * found.weight * weight
-        # Where the shading normal says yes and the surface itself no, light would leak through.
-        usable = on & (found.pdf > 0) & (dr.max(light_in) > 0)
-        if not world.surfaces.glass:
-            usable &= dr.dot(hit.ng, found.d) > 0
-        passed, met = _blocked(world, hit, found, usable)
+        light_in = path.throughput * value * found.weight * weight
+        usable, passed, met = _arriving(world, hit, found, light_in, on)
         if isinstance(light, Glow):
             # A glowing body that shades itself: without it this light is gone, and nothing else has changed.
             met &= ~dr.gather(mi.UInt32, world.bits, light.body)
-        book.met |= dr.select(usable, met, 0)
-        book.layers[number] += dr.select(usable, light_in * passed, 0)
+        result.met |= dr.select(usable, met, 0)
+        result.layers[number] += dr.select(usable, light_in * passed, 0)
 
 
-def _direct_one(world: World, s: dict, hit: Hit, c: bsdf.Closure, frame: mi.Frame3f, on: mi.Bool) -> None:
+def _direct_one(world: World, path: PathState, hit: Hit, c: bsdf.Closure, frame: mi.Frame3f, on: mi.Bool) -> None:
     """Sample one of the lights, each with the same chance."""
-    book, count = s["book"], len(world.emitters)
-    u = s["sampler"].next_2d(LIGHT, s["depth"])
+    result, count = path.result, len(world.emitters)
+    u = path.sampler.next_2d(LIGHT, path.depth)
     scaled = u.x * count
     chosen = dr.minimum(mi.UInt32(scaled), count - 1)
     u = mi.Point2f(scaled - mi.Float(chosen), u.y)
@@ -248,37 +270,45 @@ def _direct_one(world: World, s: dict, hit: Hit, c: bsdf.Closure, frame: mi.Fram
         delta |= (chosen == number) & light.delta
     value, pdf = bsdf.evaluate(c, frame.to_local(found.d))
     weight = dr.select(delta, 1, _weight(found.pdf / count, pdf)) * count
-    light_in = s["throughput"] * value * found.weight * weight
+    light_in = path.throughput * value * found.weight * weight
+    usable, passed, met = _arriving(world, hit, found, light_in, on)
+    result.met |= dr.select(usable, met, 0)
+    for number in range(count):
+        result.layers[number] += dr.select(usable & (chosen == number), light_in * passed, 0)
+
+
+def _arriving(
+    world: World, hit: Hit, found: Sample, light_in: mi.Color3f, on: mi.Bool
+) -> tuple[mi.Bool, mi.Float, mi.UInt32]:
+    """Tell where a light's sample counts, and there the fraction that gets through and the removable bodies met."""
     usable = on & (found.pdf > 0) & (dr.max(light_in) > 0)
+    # Where the shading normal says yes and the surface itself no, light would leak through.
     if not world.surfaces.glass:
         usable &= dr.dot(hit.ng, found.d) > 0
-    passed, met = _blocked(world, hit, found, usable)
-    book.met |= dr.select(usable, met, 0)
-    for number in range(count):
-        book.layers[number] += dr.select(usable & (chosen == number), light_in * passed, 0)
+    return usable, *_blocked(world, hit, found, usable)
 
 
-def _bounce(s: dict, hit: Hit, c: bsdf.Closure, frame: mi.Frame3f, on: mi.Bool) -> None:
+def _bounce(path: PathState, hit: Hit, c: bsdf.Closure, frame: mi.Frame3f, on: mi.Bool) -> None:
     """Go on in a sampled direction, or end."""
-    depth, sampler = s["depth"], s["sampler"]
+    depth, sampler = path.depth, path.sampler
     wo, valid = bsdf.sample(c, sampler.next_1d(LOBE, depth), sampler.next_2d(DIRECTION, depth))
     value, pdf = bsdf.evaluate(c, wo)
     d = frame.to_world(wo)
     leaks = (dr.dot(hit.ng, d) > 0) != (wo.z > 0)
     good = on & valid & (pdf > 0) & ~leaks
-    throughput = dr.select(good, s["throughput"] * value / pdf, 0)
+    throughput = dr.select(good, path.throughput * value / pdf, 0)
     depth = depth + 1
     chance = dr.minimum(dr.max(throughput), 0.95)
     roulette = depth >= ROULETTE_FROM
     stays = ~roulette | (sampler.next_1d(ROULETTE, depth) < chance)
     throughput = dr.select(roulette & stays, throughput / chance, throughput)
     good &= stays & (dr.max(throughput) > 0)
-    s["o"] = dr.select(good, _start(hit.p, hit.ng, d), s["o"])
-    s["d"] = mi.Vector3f(dr.select(good, dr.normalize(d), s["d"]))
-    s["origin"] = dr.select(good, hit.p, s["origin"])
-    s["travelled"] = dr.select(good, mi.Float(0), s["travelled"])
-    s["throughput"] = dr.select(good, throughput, s["throughput"])
-    s["pdf"] = dr.select(good, pdf, s["pdf"])
-    s["least_pdf"] = dr.select(good, dr.minimum(s["least_pdf"], pdf), s["least_pdf"])
-    s["depth"] = dr.select(good, depth, s["depth"])
-    s["active"] = good
+    path.o = dr.select(good, _start(hit.p, hit.ng, d), path.o)
+    path.d = mi.Vector3f(dr.select(good, dr.normalize(d), path.d))
+    path.origin = dr.select(good, hit.p, path.origin)
+    path.travelled = dr.select(good, mi.Float(0), path.travelled)
+    path.throughput = dr.select(good, throughput, path.throughput)
+    path.pdf = dr.select(good, pdf, path.pdf)
+    path.least_pdf = dr.select(good, dr.minimum(path.least_pdf, pdf), path.least_pdf)
+    path.depth = dr.select(good, depth, path.depth)
+    path.active = good

@@ -17,7 +17,7 @@ import numpy as np
 from PIL import Image
 
 from multilight.datagen.backends.mitsuba.arrays import SceneArrays
-from multilight.datagen.backends.mitsuba.device import on_device, opaque
+from multilight.datagen.backends.mitsuba.device import CLAMPED, on_device, opaque
 from multilight.datagen.backends.mitsuba.environments import envmap
 from multilight.datagen.backends.mitsuba.surfaces import Surfaces
 from multilight.lights.photometry.directions import spot_frame
@@ -55,9 +55,6 @@ def _vector(value: Vector3 | Float64) -> mi.Vector3f:
 
 def _color(value: Rgb) -> mi.Color3f:
     return mi.Color3f(*(opaque(v) for v in value))
-
-
-CLAMPED = {"filter_mode": dr.FilterMode.Linear, "wrap_mode": dr.WrapMode.Clamp}
 
 
 def _grey(path: Path) -> Float32:
@@ -137,7 +134,7 @@ def _in_cap(cap: mi.Float, u: mi.Point2f) -> mi.Vector3f:
 
 
 class Bulb:
-    """A point light or a spot: a sphere or a single point, whose intensity depends on the way it shines."""
+    """A point light or a spot: a sphere or a single point, whose intensity depends on the direction."""
 
     distant = False
 
@@ -230,8 +227,8 @@ class Panel:
         self._x, self._y, self._n = (_vector(pose[:3, 0]), _vector(pose[:3, 1]), _vector(-pose[:3, 2]))
         self._width, self._height = opaque(light.width), opaque(light.height)
         self._round = light.shape == "disk"
-        share = math.pi / 4 if self._round else 1.0
-        self._area = opaque(light.width * light.height * share)
+        filled = math.pi / 4 if self._round else 1.0
+        self._area = opaque(light.width * light.height * filled)
         self._radiance = _color(light.radiance)
 
     def sample(self, p: mi.Point3f, u: mi.Point2f) -> Sample:
@@ -264,8 +261,8 @@ class Glow:
     delta, distant = False, False
 
     def __init__(self, light: EmissiveLight, number: int, arrays: SceneArrays, surfaces: Surfaces) -> None:
-        row = int(np.flatnonzero(arrays.links[:, 11] == number)[0])
-        self.body = dr.opaque(mi.UInt32, int(arrays.links[row, 3]))
+        row = int(np.flatnonzero(arrays.links["glow"] == number)[0])
+        self.body = dr.opaque(mi.UInt32, int(arrays.links[row]["body"]))
         faces = np.flatnonzero(arrays.faces[:, 3] == row)
         corners = arrays.vertices[arrays.faces[faces, :3].astype(np.int64), :3].astype(np.float64)
         sides = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]

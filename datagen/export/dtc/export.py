@@ -13,11 +13,10 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
-from typing import Literal
 
 from multilight.datagen.errors import RunStoppedError, StoreError, UserError
 from multilight.datagen.export.dtc.readme import write_readme
+from multilight.datagen.export.dtc.request import DtcExport
 from multilight.datagen.export.dtc.scene import Frame
 from multilight.datagen.export.dtc.work import Job, export_scene
 from multilight.datagen.storage.copies import Copy, making
@@ -27,7 +26,6 @@ from multilight.datagen.storage.source import open_dataset
 from multilight.datagen.storage.store import write_text
 from multilight.scenes.gaussians.curves import fold
 
-Part = Literal["2d-train", "2d-eval", "3d-train", "3d-eval", "all"]
 Report = Callable[[float, float], None]
 ROOTS: dict[str, str] = {
     "2d-train": "DTC-MultiLight-2D",
@@ -37,20 +35,6 @@ ROOTS: dict[str, str] = {
 }
 LISTS = {"train": "train.json", "eval": "test.json"}
 Made = Callable[[int, dict[str, dict[str, FileEntry]]], None]
-
-
-@dataclass(frozen=True)
-class DtcExport:
-    """What to export: a dataset's address, where to, which roots, and how."""
-
-    address: str
-    out: Path
-    part: Part = "all"
-    conditions: int | None = None
-    exposures: int = 4
-    size: int = 256
-    map_size: int = 256
-    workers: int | None = None
 
 
 @dataclass(frozen=True)

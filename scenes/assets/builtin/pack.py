@@ -30,6 +30,7 @@ from multilight.scenes.assets.builtin.textures import gobos, screens, surfaces
 from multilight.scenes.assets.cache import is_sound, kept, sources_key, write_json, write_once
 from multilight.scenes.assets.environments import bpy_environment_path, bpy_environments
 from multilight.scenes.assets.info import AssetError, AssetInfo, AssetRole
+from multilight.scenes.assets.packs.pack import Pack
 from multilight.scenes.meshes import Mesh
 from multilight.scenes.streams import generator_of
 
@@ -168,7 +169,7 @@ def builtin_models() -> list[AssetInfo]:
     return infos
 
 
-class BuiltinPack:
+class BuiltinPack(Pack):
     """Everything that needs no download."""
 
     name = "builtin"

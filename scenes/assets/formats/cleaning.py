@@ -32,14 +32,14 @@ class RawPart:
 
 def transformed(parts: list[RawPart], matrix: Float64) -> list[RawPart]:
     """Apply a 3x3 matrix (rotation and scale) to vertices, and its inverse transpose to normals."""
-    turn = np.linalg.inv(matrix)
+    inverse = np.linalg.inv(matrix)
     flip = np.linalg.det(matrix) < 0
     return [
         replace(
             part,
             vertices=part.vertices @ matrix.T,
             faces=part.faces[:, ::-1] if flip else part.faces,
-            normals=None if part.normals is None else part.normals @ turn,
+            normals=None if part.normals is None else part.normals @ inverse,
         )
         for part in parts
     ]
@@ -134,8 +134,8 @@ def _inside_out(places: Float64, faces: Int64) -> Mask:
     pieces, label = connected_components(links, directed=False)
     piece = label[faces[:, 0]]
     weight = np.maximum(np.bincount(piece, minlength=pieces), 1)
-    middle = places[faces].mean(axis=1)
-    centre = np.stack([np.bincount(piece, middle[:, i], pieces) / weight for i in range(3)], -1)
+    centroid = places[faces].mean(axis=1)
+    centre = np.stack([np.bincount(piece, centroid[:, i], pieces) / weight for i in range(3)], -1)
     triangles = places[faces] - centre[piece][:, None]
     a, b, c = np.moveaxis(triangles, 1, 0)
     volume = np.bincount(piece, np.einsum("fi,fi->f", a, np.cross(b, c)) / 6, pieces)

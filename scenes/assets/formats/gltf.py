@@ -77,19 +77,19 @@ def _nodes(scene: Any, header: Header, keep: KeepImage) -> Iterator[Node]:
         yield Node(str(name), (part,), (_emission(given, emissions, keep, blender=blender),))
 
 
-def _placed(part: RawPart, turn: Float64, offset: Float64) -> RawPart:
+def _placed(part: RawPart, linear: Float64, offset: Float64) -> RawPart:
     """Move a part by an affine map."""
-    if abs(np.linalg.det(turn)) < 1e-18:
+    if abs(np.linalg.det(linear)) < 1e-18:
         return RawPart(part.material, part.vertices[:0], part.faces[:0], None, None)
-    normals = None if part.normals is None else part.normals @ np.linalg.inv(turn)
-    faces = part.faces[:, ::-1] if np.linalg.det(turn) < 0 else part.faces
-    return RawPart(part.material, part.vertices @ turn.T + offset, faces, normals, part.uv)
+    normals = None if part.normals is None else part.normals @ np.linalg.inv(linear)
+    faces = part.faces[:, ::-1] if np.linalg.det(linear) < 0 else part.faces
+    return RawPart(part.material, part.vertices @ linear.T + offset, faces, normals, part.uv)
 
 
 def raw_part(mesh: Any, keep: KeepImage) -> RawPart:
     """Translate one of trimesh's meshes, with its material."""
     uv = getattr(mesh.visual, "uv", None)
-    given = "vertex_normals" in mesh._cache.cache
+    given = "vertex_normals" in mesh._cache  # nowhere else does trimesh tell those of the file from its own
     return RawPart(
         pbr_material(mesh.visual, keep, has_uv=uv is not None),
         np.asarray(mesh.vertices, np.float64),
@@ -175,8 +175,8 @@ def _lights(header: Header) -> Iterator[FoundLight]:
 
 def _light(light: Header, name: str | None, matrix: Float64) -> FoundLight:
     """Translate a punctual light; it shines along -Z of its node, as ours do."""
-    turn = Z_UP_FROM_Y_UP @ matrix[:3, :3]
-    pose = pose_of(turn / np.linalg.norm(turn, axis=0), Z_UP_FROM_Y_UP @ matrix[:3, 3])
+    linear = Z_UP_FROM_Y_UP @ matrix[:3, :3]
+    pose = pose_of(linear / np.linalg.norm(linear, axis=0), Z_UP_FROM_Y_UP @ matrix[:3, 3])
     about: dict[str, Any] = {
         "name": str(name or light.get("name") or "light"),
         "amount": _rgb(light.get("color", (1, 1, 1)), float(light.get("intensity", 1.0))),
@@ -189,7 +189,7 @@ def _light(light: Header, name: str | None, matrix: Float64) -> FoundLight:
     spot = light.get("spot", {})
     outer = float(np.clip(spot.get("outerConeAngle", np.pi / 4), 1e-3, 1.49))
     inner = float(np.clip(spot.get("innerConeAngle", 0.0), 0.0, outer))
-    # glTF fades over the cosines between the two cones; so does `SpotLight.blend`, as a share of 1 - cos(outer).
+    # glTF fades over the cosines between the two cones; so does `SpotLight.blend`, as a fraction of 1 - cos(outer).
     soft = (np.cos(inner) - np.cos(outer)) / (1.0 - np.cos(outer))
     return FoundLight(kind="spot", unit="cd", half_angle=outer, blend=float(np.clip(soft, 0, 1)), **about)
 
@@ -209,5 +209,5 @@ def _local(node: Header) -> Float64:
     """Return a node's own matrix (4, 4)."""
     if "matrix" in node:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
-    turn = Rotation.from_quat(node.get("rotation", (0, 0, 0, 1))).as_matrix()
-    return pose_of(turn * node.get("scale", (1, 1, 1)), node.get("translation", (0, 0, 0)))
+    rotation = Rotation.from_quat(node.get("rotation", (0, 0, 0, 1))).as_matrix()
+    return pose_of(rotation * node.get("scale", (1, 1, 1)), node.get("translation", (0, 0, 0)))

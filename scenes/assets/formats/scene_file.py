@@ -3,11 +3,13 @@
 import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Literal
 
 from PIL import Image
 from pydantic import Field
 
+from multilight.scenes.assets.cache import write_once
 from multilight.scenes.assets.formats.cleaning import RawPart
 from multilight.scenes.frozen import Frozen, Matrix4, Rgb, Slug
 from multilight.scenes.spec import Texture
@@ -75,3 +77,12 @@ class Imported:
 def image_digest(image: Image.Image) -> str:
     """Hash the pixels of a picture (32 hex digits)."""
     return hashlib.sha256(f"{image.mode} {image.size}".encode() + image.tobytes()).hexdigest()[:32]
+
+
+def keep_picture(image: Image.Image, folder: Path) -> str:
+    """Write a picture as PNG into `folder` under the digest of its pixels, which is returned; once."""
+    known = image.mode in ("L", "RGB", "RGBA")
+    picture = image if known else image.convert("RGBA" if "A" in image.mode else "RGB")
+    digest = image_digest(picture)
+    write_once(folder / f"{digest}.png", picture.save)
+    return digest

@@ -17,13 +17,13 @@ import numpy as np
 from PIL import Image
 from pydantic import TypeAdapter
 
-from multilight.scenes.assets.cache import is_sound, read_kept, sources_key, write_json, write_once
-from multilight.scenes.assets.formats import beside, claims, cleaning, gltf
-from multilight.scenes.assets.formats import scene_file as imported
+from multilight.scenes.assets.cache import is_sound, read_kept, sources_key, write_json
+from multilight.scenes.assets.formats import beside, claims, cleaning, gltf, scene_file
 from multilight.scenes.assets.formats.cleaning import RawPart, clean_mesh, extent
 from multilight.scenes.assets.formats.mtl import part_name
-from multilight.scenes.assets.formats.scene_file import FoundLight, Imported, Node, image_digest
+from multilight.scenes.assets.formats.scene_file import FoundLight, Imported, Node, keep_picture
 from multilight.scenes.assets.info import AssetError, AssetInfo
+from multilight.scenes.assets.packs.pack import Pack
 from multilight.scenes.files.inside import OutsideError, inside
 from multilight.scenes.frozen import Frozen, Matrix4, Slug
 from multilight.scenes.meshes import Mesh, MeshPart, load_mesh, save_mesh
@@ -54,7 +54,7 @@ class _Index(Frozen):
     lights: tuple[FoundLight, ...]
 
 
-class BackgroundPack:
+class BackgroundPack(Pack):
     """The scene in `file` (GLB, glTF or USD) as the pack `background`; raises `AssetError` where it cannot serve."""
 
     name = PACK
@@ -71,7 +71,7 @@ class BackgroundPack:
     def _folder(self) -> Path:
         """Where the converted scene lies: under the hash of the file, of what lies beside it, and of the code."""
         usd = sorted(str(path) for path in (Path(__file__).parents[1] / "formats" / "usd").glob("*.py"))
-        own = (str(module.__file__) for module in (beside, claims, gltf, imported, cleaning))
+        own = (str(module.__file__) for module in (beside, claims, gltf, scene_file, cleaning))
         code = sources_key(__file__, *own, *usd)
         digest = hashlib.sha256(code.encode())
         digest.update(self._file.read_bytes())
@@ -133,11 +133,7 @@ class BackgroundPack:
 
     def _read(self, work: Path) -> Imported:
         def keep(image: Image.Image) -> Texture:
-            known = image.mode in ("L", "RGB", "RGBA")
-            picture = image if known else image.convert("RGBA" if "A" in image.mode else "RGB")
-            digest = image_digest(picture)
-            write_once(work / f"{digest}.png", picture.save)
-            return Texture(image=f"{PACK}/texture-{digest}")
+            return Texture(image=f"{PACK}/texture-{keep_picture(image, work)}")
 
         if self._file.suffix.lower() in (".glb", ".gltf"):
             found = gltf.read_gltf(self._file, keep)

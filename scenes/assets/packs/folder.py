@@ -18,13 +18,14 @@ import trimesh
 from PIL import Image
 from pydantic import TypeAdapter
 
-from multilight.scenes.assets.cache import is_sound, kept, sources_key, write_json, write_once
+from multilight.scenes.assets.cache import is_sound, kept, sources_key, write_json
 from multilight.scenes.assets.formats import beside, claims, cleaning, gltf
 from multilight.scenes.assets.formats.beside import load_scene
 from multilight.scenes.assets.formats.cleaning import Z_UP_FROM_Y_UP, RawPart, clean_mesh, extent, transformed
 from multilight.scenes.assets.formats.gltf import raw_part
-from multilight.scenes.assets.formats.scene_file import image_digest
+from multilight.scenes.assets.formats.scene_file import keep_picture
 from multilight.scenes.assets.info import AssetError, AssetInfo
+from multilight.scenes.assets.packs.pack import Pack
 from multilight.scenes.files.inside import OutsideError, held, plain_name
 from multilight.scenes.meshes import Mesh
 from multilight.scenes.names import slug
@@ -48,13 +49,14 @@ class _Entry:
     up_axis: str = "Y"
 
 
-class FolderPack:
+class FolderPack(Pack):
     """The models under `folder`; the pack carries the folder's name."""
 
     def __init__(self, folder: Path, cache: Path) -> None:
         if not folder.is_dir():
             raise AssetError(f"{folder} is not a folder")
         self._folder, self._cache = folder.resolve(), cache
+        self._pictures = cache / "textures" / "folders"
         self.name = self._folder.name
         self._key = sources_key(__file__, beside.__file__, claims.__file__, gltf.__file__, cleaning.__file__)
 
@@ -116,8 +118,8 @@ class FolderPack:
         try:
             held(self._folder, path)
             parts = self._load(path)
-            turn = Z_UP_FROM_Y_UP if entry.up_axis == "Y" else np.eye(3)
-            parts = transformed(parts, turn * entry.metres_per_unit)
+            axes = Z_UP_FROM_Y_UP if entry.up_axis == "Y" else np.eye(3)
+            parts = transformed(parts, axes * entry.metres_per_unit)
             mesh = clean_mesh(parts)
             low, high = extent(parts)
         except OutsideError as error:
@@ -147,24 +149,15 @@ class FolderPack:
 
     def _texture(self, image: Image.Image) -> Texture:
         """Keep a picture in the cache under the hash of its pixels."""
-        image = image if image.mode in ("L", "RGB", "RGBA") else image.convert("RGBA" if "A" in image.mode else "RGB")
-        digest = image_digest(image)
-        write_once(self._texture_file(digest), image.save)
-        return Texture(image=f"{self.name}/texture/{digest}")
-
-    def _texture_file(self, digest: str) -> Path:
-        return self._cache / "textures" / "folders" / f"{digest}.png"
+        return Texture(image=f"{self.name}/texture/{keep_picture(image, self._pictures)}")
 
     def texture(self, name: str) -> Path:
         """Return the PNG of a texture `texture/<hash>` that a model of this pack brought."""
         match = re.fullmatch(r"texture/([0-9a-f]{32})", name)
-        if match is None or not is_sound(self._texture_file(match[1])):
+        path = self._pictures / f"{match[1]}.png" if match else None
+        if path is None or not is_sound(path):
             raise AssetError(f"no texture '{self.name}/{name}'; load the model that uses it first")
-        return self._texture_file(match[1])
-
-    def environment(self, name: str) -> Path:
-        """Raise: there are none here."""
-        raise AssetError(f"{self.name}/{name} is not an environment map")
+        return path
 
 
 def _name(text: str) -> str:

@@ -1,4 +1,4 @@
-"""Texture packs: curated surface textures of Python packages, turned so that wood grain runs along u."""
+"""Texture packs: curated surface textures of Python packages, rotated so that wood grain runs along u."""
 
 import csv
 import io
@@ -11,8 +11,8 @@ from PIL import Image
 from multilight.scenes.assets.builtin.textures.surfaces import height_from_albedo, normal_map
 from multilight.scenes.assets.cache import write_once
 from multilight.scenes.assets.info import AssetError, AssetInfo
+from multilight.scenes.assets.packs.pack import Pack
 from multilight.scenes.files.limits import open_picture
-from multilight.scenes.meshes import Mesh
 
 TABLE = Path(__file__).with_name("textures.csv")
 LARGEST = 1024
@@ -22,7 +22,7 @@ RELIEF = {"brick": 6e-4, "concrete": 1e-4, "fabric": 1.5e-4, "metal": 1e-5, "pla
 
 @dataclass(frozen=True)
 class SurfaceTexture:
-    """One curated texture: its file in the package, metres a repeat, and whether to turn it a quarter."""
+    """One curated texture: its file in the package, metres a repeat, and whether to rotate it a quarter."""
 
     name: str
     member: str
@@ -54,7 +54,7 @@ def convert_texture(data: bytes, texture: SurfaceTexture, path: Path) -> None:
     image.save(path)
 
 
-class SurfacePack:
+class SurfacePack(Pack):
     """A fetched texture pack; `folder` holds one PNG a texture."""
 
     def __init__(self, name: str, folder: Path, cache: Path, licence: str) -> None:
@@ -97,15 +97,3 @@ class SurfacePack:
             Image.fromarray(normal_map(height, metres=texture.metres)).save(path)
 
         return write_once(self._cache / "textures" / self.name / f"{name}.png", write)
-
-    def mesh_key(self, name: str) -> str:
-        """Raise: there are no models here."""
-        raise AssetError(f"{self.name}/{name} is not a model")
-
-    def mesh(self, name: str) -> Mesh:
-        """Raise: there are no models here."""
-        raise AssetError(f"{self.name}/{name} is not a model")
-
-    def environment(self, name: str) -> Path:
-        """Raise: there are no environment maps here."""
-        raise AssetError(f"{self.name}/{name} is not an environment map")

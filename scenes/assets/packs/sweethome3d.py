@@ -23,11 +23,11 @@ from trimesh.exchange.obj import load_obj
 from trimesh.geometry import triangulate_quads
 
 from multilight.scenes.assets.cache import sources_key, write_once
-from multilight.scenes.assets.formats import cleaning
-from multilight.scenes.assets.formats import mtl as finishes
+from multilight.scenes.assets.formats import cleaning, mtl
 from multilight.scenes.assets.formats.cleaning import Z_UP_FROM_Y_UP, RawPart, clean_mesh, extent, transformed
 from multilight.scenes.assets.formats.mtl import MtlEntry, material_of, part_name
 from multilight.scenes.assets.info import AssetError, AssetInfo, AssetRole
+from multilight.scenes.assets.packs.pack import Pack
 from multilight.scenes.files.limits import read_member
 from multilight.scenes.meshes import Mesh
 
@@ -80,14 +80,14 @@ class _ZipResolver:
     __getitem__ = get
 
 
-class SweetHome3dPack:
+class SweetHome3dPack(Pack):
     """The curated models; `folder` holds the `*.sh3f` files."""
 
     name = "sweethome3d"
 
     def __init__(self, folder: Path, cache: Path) -> None:
         self._folder, self._cache = folder, cache
-        code = (str(p) for p in (__file__, finishes.__file__, cleaning.__file__, TABLE, FURNITURE))
+        code = (str(p) for p in (__file__, mtl.__file__, cleaning.__file__, TABLE, FURNITURE))
         self._key = sources_key(*code)
 
     @cached_property
@@ -148,10 +148,6 @@ class SweetHome3dPack:
                 raise AssetError(f"texture '{self.name}/{name}' is not in {match[1]}.sh3f") from error
 
         return write_once(target, write)
-
-    def environment(self, name: str) -> Path:
-        """Raise: there are none here."""
-        raise AssetError(f"{self.name}/{name} is not an environment map")
 
 
 def _flat(path: str) -> str:
@@ -247,7 +243,7 @@ def _number(value: Any) -> float | None:
 
 
 def _to_size(parts: list[RawPart], model: _Model) -> list[RawPart]:
-    """Turn a model by the catalogue's rotation, make it Z-up, and scale it to the catalogue's size."""
+    """Rotate a model as the catalogue says, make it Z-up, and scale it to the catalogue's size."""
     rotation = np.array([float(v) for v in model.properties.get("modelRotation", IDENTITY).split()]).reshape(3, 3)
     parts = transformed(parts, Z_UP_FROM_Y_UP @ rotation)
     low, high = extent(parts)

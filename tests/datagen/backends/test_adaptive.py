@@ -12,8 +12,8 @@ from multilight.datagen.backends.protocol import RenderJob, RenderSettings
 from multilight.scenes.assets.library import AssetLibrary
 from tests.datagen.backends.contract_scenes import RIG, job
 
-if choose_variant().variant == "scalar_rgb":
-    pytest.skip(f"no vectorized variant of Mitsuba here: {choose_variant().why}", allow_module_level=True)
+if choose_variant().variant is None:
+    pytest.skip(f"Mitsuba cannot run here: {choose_variant().why}", allow_module_level=True)
 
 import drjit as dr
 import mitsuba as mi

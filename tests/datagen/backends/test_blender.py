@@ -36,6 +36,21 @@ GREY = Material(base_color=(0.5, 0.5, 0.5), ior=1.0)
 ENV = EnvironmentLight(name="env")
 
 
+def _squares() -> Mesh:
+    """Two upright unit squares side by side, facing -Y, their normals tilted up in the second."""
+    parts = []
+    for x, normal in ((-1.0, (0, -1, 0)), (0.0, (0, -math.sqrt(0.5), math.sqrt(0.5)))):
+        corners = np.array([[x, 0, 0], [x + 1, 0, 0], [x + 1, 0, 1], [x, 0, 1]], np.float32)
+        faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+        normals = np.tile(np.array(normal, np.float32), (4, 1))
+        uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
+        parts.append(MeshPart("square", corners, faces, normals, uv, Material()))
+    return Mesh(tuple(parts))
+
+
+SQUARES = _squares()
+
+
 class FakeLibrary:
     """Two textures, an environment map with one bright spot and a two-part mesh, made in a folder."""
 
@@ -57,15 +72,7 @@ class FakeLibrary:
         return self.folder / f"{environment}.exr"
 
     def mesh(self, asset: str) -> Mesh:
-        """Two upright unit squares side by side, facing -Y, their normals tilted up in the second."""
-        parts = []
-        for x, normal in ((-1.0, (0, -1, 0)), (0.0, (0, -math.sqrt(0.5), math.sqrt(0.5)))):
-            corners = np.array([[x, 0, 0], [x + 1, 0, 0], [x + 1, 0, 1], [x, 0, 1]], np.float32)
-            faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
-            normals = np.tile(np.array(normal, np.float32), (4, 1))
-            uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
-            parts.append(MeshPart("square", corners, faces, normals, uv, Material()))
-        return Mesh(tuple(parts))
+        return SQUARES
 
 
 @pytest.fixture(scope="module")
@@ -231,6 +238,20 @@ def test_several_environments_each_have_their_layer(blender: BlenderBackend) -> 
     np.testing.assert_array_equal(swapped.radiance[2], render(blender, spec, (DAY,)).radiance[0])
 
 
+def test_several_environments_leave_the_random_choices_as_they_are(blender: BlenderBackend) -> None:
+    """Every variant comes out the same whatever was rendered before it, and pixels that a removed body does not touch
+    are those of `all`: Cycles numbers its lamps anew where a world or a lamp is taken away and put back."""
+    balls = [body(f"b{x}", Sphere(radius=0.2), GREY, pose=at(x - 3, 0, 0.2), insertable=x < 2) for x in range(6)]
+    spec = scene((floor(GREY), *balls), camera(look((0, 9, 6), (0, 0, 0)), size=32, focal=40))
+    lamps = [PointLight(name=f"lamp{x}", position=(x - 4, 1, 2), intensity=(5, 5, 5), radius=0.1) for x in range(8)]
+    seen: dict[str, Float32] = {}
+    for variant in ("all", "without_b0", "foreground_b0", "all", "without_b1", "without_b0", "all", "without_b1"):
+        layers = render(blender, spec, (*lamps, DUSK, DAY), variant=variant, spp=1).radiance
+        np.testing.assert_array_equal(layers, seen.setdefault(variant, layers), err_msg=variant)
+    for variant in ("without_b0", "without_b1"):
+        assert (seen["all"] == seen[variant]).all(axis=-1).mean(axis=(1, 2)).min() > 0.5, variant
+
+
 def test_emission_follows_its_texture(blender: BlenderBackend) -> None:
     card = body("card", Rectangle(width=4, height=4), Material(base_color=(0, 0, 0), ior=1.0), pose=at(0, 0, 0))
     glow = EmissiveLight(name="glow", body="card", radiance=(2, 4, 8), texture=Texture(image="halves", repeat=(0.5, 1)))
@@ -341,7 +362,7 @@ def test_textures_repeat_and_cut_out(blender: BlenderBackend) -> None:
 
 
 def test_meshes_keep_their_parts_and_shading_normals(blender: BlenderBackend) -> None:
-    squares = MeshAsset(asset="test/squares", mesh_sha256="0" * 64, parts=2)
+    squares = MeshAsset(asset="test/squares", mesh_sha256=SQUARES.sha256(), parts=2)
     thing = body("thing", squares, GREY, WHITE, pose=at(0, 0, 0))
     view = camera(look((0, -3, 0.5), (0, 0, 0.5)), size=32, focal=32)
     glow = EmissiveLight(name="glow", body="thing", part=1, radiance=(2, 1, 0.5))
@@ -485,6 +506,11 @@ def test_what_cannot_be_rendered_is_named(blender: BlenderBackend) -> None:
         render(blender, TABLE, RIG, variant="without_floor")
     with pytest.raises(BackendError, match="part 1 of body 'lamp'"):
         render(blender, TABLE, (EmissiveLight(name="glow", body="lamp", part=1, radiance=(1, 1, 1)),))
+    with pytest.raises(BackendError, match="light 'again': part 0 of body 'lamp' is not free"):
+        render(blender, TABLE, (RIG[3], RIG[3].model_copy(update={"name": "again"})))
+    changed = MeshAsset(asset="test/squares", mesh_sha256="0" * 64, parts=2)
+    with pytest.raises(BackendError, match="'test/squares' of body 'thing' has changed"):
+        render(blender, scene((body("thing", changed, GREY, WHITE, pose=at(0, 0, 0)),), DOWN), (ENV,))
     for image, complaint in (("absent", "cannot open"), ("broken", "cannot")):
         material = Material(base_color_texture=Texture(image=image))
         with pytest.raises(BackendError, match=f"{complaint}.*{image}.png"):

@@ -12,12 +12,22 @@ from multilight.datagen.backends.protocol import RenderJob, RenderSettings
 from multilight.lights.spec import EmissiveLight, EnvironmentLight, Light, LightRig, PointLight, SunLight
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.cameras.pinhole import camera_from_fov, look_at, matrix4
-from multilight.scenes.spec import Body, Material, Rectangle, SceneSpec, Sphere
+from multilight.scenes.spec import Body, Material, Rectangle, SceneSpec, Sphere, Texture
 from tests.datagen.backends.calibration_scenes import LIGHTS, SURFACES, calibration_job
-from tests.datagen.backends.contract_scenes import RIG, job
+from tests.datagen.backends.contract_scenes import (
+    BALLS,
+    GROUND,
+    RIG,
+    SIZE,
+    SKY,
+    job,
+    oblique_camera,
+    overhead_camera,
+    placed,
+)
 
-if choose_variant().variant == "scalar_rgb":
-    pytest.skip(f"no vectorized variant of Mitsuba here: {choose_variant().why}", allow_module_level=True)
+if choose_variant().variant is None:
+    pytest.skip(f"Mitsuba cannot run here: {choose_variant().why}", allow_module_level=True)
 
 import drjit as dr
 import mitsuba as mi
@@ -30,7 +40,7 @@ from multilight.datagen.backends.mitsuba.bsdf import Tables
 from multilight.datagen.backends.mitsuba.cameras import Lens
 from multilight.datagen.backends.mitsuba.integrator import World, trace
 from multilight.datagen.backends.mitsuba.lights import emitters_of
-from multilight.datagen.backends.mitsuba.surfaces import Surfaces, build
+from multilight.datagen.backends.mitsuba.surfaces import Surfaces, accelerate
 
 WHITE = (1.0, 1.0, 1.0)
 
@@ -140,7 +150,7 @@ def _ours(lights: tuple[Light, ...], library) -> World:
     arrays = _with_blocks(arrays)
     surfaces = Surfaces(arrays)
     emitters = emitters_of(LightRig(lights=lights), arrays, surfaces, library)
-    whole = build(arrays, arrays.of_bodies(arrays.spans))
+    whole = accelerate(arrays, arrays.of_bodies(arrays.spans))
     return World(whole, whole, None, surfaces, emitters, Tables(), mi.UInt32([0] * 4))
 
 
@@ -214,10 +224,10 @@ def test_layers_sum_to_the_builtin_path_integrator_path_by_path(library, chosen,
     order = [PLUGINS[str(e).split("[")[0]] for e in builtin.emitters()]
     lights = {light.name: light for light in OWN_LIGHTS}
     world = _ours(tuple(lights[name] for name in order), library)
-    book = trace(world, _rays(), Sequential(_sampler()), max_bounces=5, one_light=True)
+    result = trace(world, _rays(), Sequential(_sampler()), max_bounces=5, one_light=True)
     path = mi.load_dict({"type": "path", "max_depth": 7, "rr_depth": 3})
     expected = np.array(path.sample(builtin, _sampler(), mi.RayDifferential3f(_rays()))[0])
-    total = np.array(sum(book.layers[1:], book.layers[0]))
+    total = np.array(sum(result.layers[1:], result.layers[0]))
     assert expected.mean() > 0.1
     off = np.abs(total - expected).max(axis=0) / expected.mean()
     assert np.mean(off > 1e-4) < share
@@ -283,6 +293,79 @@ def test_furnace(backend, name):
     np.testing.assert_allclose(stack.radiance[0].mean(axis=(0, 1)), 1.0, atol=tolerance)
 
 
+# --- closed forms: pictures on surfaces, see-through ones, sheets ---
+
+
+BLACK = Material(base_color=(0.0, 0.0, 0.0), roughness=1.0, ior=1.0)
+
+
+def _seen(backend, bodies, light, camera, *, variant="all", spp=16, threads=2):
+    scene = SceneSpec(kind="custom", index=2, bodies=bodies, cameras=(camera,))
+    settings = RenderSettings(spp=spp, max_bounces=2, threads=threads)
+    return backend.render(RenderJob(scene, LightRig(lights=(light,)), settings, 0, variant))
+
+
+def _plate(material, *, height=0.0, size=1.6, insertable=False):
+    return Body(name="plate", role="object", category="test", geometry=Rectangle(width=size, height=size),
+                materials=(material,), world_from_body=matrix4(placed(0, 0, height)),
+                insertable=insertable)  # fmt: skip
+
+
+def test_a_glowing_picture_is_the_picture_that_the_albedo_shows(backend):
+    picture = Texture(image="builtin/wood-ash", repeat=(1.3, 0.7))
+    material = Material(base_color=WHITE, base_color_texture=picture, roughness=1.0, ior=1.0)
+    light = EmissiveLight(name="glow", body="plate", radiance=(1.0, 2.0, 3.0), texture=picture)
+    camera = camera_from_fov(look_at((0.2, -0.5, 1.5), (0, 0, 0)), width=SIZE, height=SIZE, fov=math.radians(30))
+    stack = _seen(backend, (_plate(material),), light, camera)
+    assert stack.guide_albedo.std() > 0.05
+    assert np.abs(stack.radiance[0] / np.array(light.radiance) - stack.guide_albedo).mean() < 2e-3
+
+
+def test_a_bumpy_plate_is_lit_as_its_normals_say(backend):
+    bumps = Texture(image="builtin/weave-basket-normal", repeat=(0.15, 0.1))
+    plate = _plate(Material(base_color=(0.5,) * 3, roughness=1.0, ior=1.0, normal_texture=bumps))
+    light = SunLight(name="sun", direction=(0.7, 0.4, -1.0), irradiance=(1.0, 2.0, 3.0), angle=0.0)
+    camera = camera_from_fov(look_at((0.0, 0.0, 1.5), (0, 0, 0), up=(0, 1, 0)), width=SIZE, height=SIZE, fov=0.5)
+    stack = _seen(backend, (plate,), light, camera)
+    towards = -np.array(light.direction) / np.linalg.norm(light.direction)
+    expected = 0.5 / math.pi * np.maximum(stack.guide_normal @ towards, 0)[..., None] * np.array(light.irradiance)
+    relief = expected.std(axis=(0, 1))
+    assert relief.min() > 1e-3
+    assert (np.abs(stack.radiance[0] - expected).mean(axis=(0, 1)) < 0.05 * relief).all()
+
+
+def test_a_see_through_plate_passes_what_its_opacity_leaves(backend):
+    """A quarter of the light stays in a plate of a quarter's opacity, and it covers a quarter of what it hides."""
+    pane = _plate(BLACK.model_copy(update={"opacity": 0.25}), height=1.0, size=4.0, insertable=True)
+    sun = SunLight(name="sun", direction=(0.0, 0.0, -1.0), irradiance=(1.0, 2.0, 3.0), angle=0.0)
+    bare = _seen(backend, (GROUND,), sun, overhead_camera()).radiance[0].mean(axis=(0, 1))
+    everything, foreground = (
+        _seen(backend, (GROUND, pane), sun, overhead_camera(), variant=variant, spp=64)
+        for variant in ("all", "foreground_plate")
+    )
+    np.testing.assert_allclose(everything.radiance[0].mean(axis=(0, 1)), bare * 0.75**2, rtol=0.02)
+    assert foreground.coverage.mean() == pytest.approx(0.25, rel=0.03)
+    assert (everything.geometry.instance_id == 1).all()
+    assert not everything.geometry.environment.any()
+
+
+def test_a_sheet_glows_on_both_sides(backend):
+    light = EmissiveLight(name="glow", body="plate", radiance=(1.0, 2.0, 3.0))
+    for height in (1.0, -1.0):
+        camera = camera_from_fov(look_at((0, 0, height), (0, 0, 0), up=(0, 1, 0)), width=16, height=16, fov=0.5)
+        stack = _seen(backend, (_plate(BLACK),), light, camera, spp=1)
+        np.testing.assert_allclose(stack.radiance[0], np.broadcast_to(light.radiance, (16, 16, 3)), rtol=1e-5)
+
+
+def test_threads_change_nothing(backend, library):
+    with MitsubaBackend(library) as other:
+        one, two = (
+            _seen(opened, (GROUND, *BALLS), SKY, oblique_camera(), variant="without_near", spp=2, threads=threads)
+            for opened, threads in ((backend, 2), (other, 1))
+        )
+    np.testing.assert_array_equal(one.radiance, two.radiance)
+
+
 # --- removed objects ---
 
 
@@ -315,10 +398,10 @@ def test_only_paths_that_met_a_glowing_object_are_traced_again(backend):
     settings = RenderSettings(spp=4, max_bounces=1, threads=2)
     backend.render(RenderJob(scene, LightRig(lights=lights), settings, 0))
     camera = scene.cameras[0]
-    batch = _Batch(backend._synced, Lens(camera), camera, settings, (0, first_blocks(camera.width * camera.height, 4)))
-    book = batch._trace(None, dr.arange(mi.UInt32, camera.width * camera.height * 4))
-    lit = np.array(book.first) > 0
-    assert 0 < np.mean(np.array(book.met)[lit] != 0) < 0.25
+    batch = _Batch(backend._synced, Lens(camera), settings, 0, first_blocks(camera.width * camera.height, 4))
+    result = batch._trace(None, dr.arange(mi.UInt32, camera.width * camera.height * 4))
+    lit = np.array(result.first) > 0
+    assert 0 < np.mean(np.array(result.met)[lit] != 0) < 0.25
 
 
 def test_composite_with_one_lighting_is_the_target_at_edges(backend):

@@ -69,14 +69,14 @@ class LightReader:
         )
 
     def _dome(self, made: Any, prim: Any, level: float, matrix: Float64) -> FoundLight:
-        """Translate a dome, whose map OpenEXR lays out: its pole on +Y, its middle on +Z, its left towards +X."""
+        """Translate a dome, whose map OpenEXR lays out: its pole on +Y, its centre on +Z, its left towards +X."""
         axes = matrix[:3, :3] / np.linalg.norm(matrix[:3, 0])
-        pole, middle = axes[:, 1], axes[:, 2]
+        pole, centre = axes[:, 1], axes[:, 2]
         if prim.IsA(UsdLux.DomeLight_1) and _pole_axis(prim) == UsdGeom.Tokens.z:
-            pole, middle = axes[:, 2], -axes[:, 1]
+            pole, centre = axes[:, 2], -axes[:, 1]
         if pole[2] < 0.999:
-            raise AssetError(f"{self.path}: the dome light {prim.GetPath()} is tilted; turn its pole upright")
-        rotation = math.atan2(middle[1], middle[0])
+            raise AssetError(f"{self.path}: the dome light {prim.GetPath()} is tilted; rotate its pole upright")
+        rotation = math.atan2(centre[1], centre[0])
         file = prim.GetAttribute("inputs:texture:file").Get()
         if file is None or not file.path:
             return made("environment", level, "nit")

@@ -80,8 +80,8 @@ def _solid(prim: Any) -> Shape:
     else:
         rod = UsdGeom.Cylinder(prim)
         made = trimesh.creation.cylinder(rod.GetRadiusAttr().Get(), rod.GetHeightAttr().Get(), sections=64)
-        turns = {"X": ([0, 0, 1], [1, 0, 0]), "Y": ([0, 0, 1], [0, 1, 0])}
-        if rod.GetAxisAttr().Get() in turns:
-            made.apply_transform(trimesh.geometry.align_vectors(*turns[rod.GetAxisAttr().Get()]))
+        directions = {"X": ([0, 0, 1], [1, 0, 0]), "Y": ([0, 0, 1], [0, 1, 0])}
+        if rod.GetAxisAttr().Get() in directions:
+            made.apply_transform(trimesh.geometry.align_vectors(*directions[rod.GetAxisAttr().Get()]))
     faces = np.asarray(made.faces, np.int64)
     return Shape(np.asarray(made.vertices, np.float64), faces, np.zeros(len(faces), np.int64), None, None)

@@ -1,6 +1,6 @@
 """Statistical goldens: what each backend rendered when it was last judged right, as mean and variance.
 
-    python -m tests.goldens mitsuba cycles
+    python -m tests.datagen.backends.goldens mitsuba cycles
 
 renders them anew (after a change that is meant to change pictures): `REPEATS` renders of each scene that differ in
 their random numbers only. `<backend>-<scene>.npz` holds mean (L, 64, 64, 3) and variance (L, 64, 64), that of one

@@ -1,0 +1,19 @@
+"""Which pictures of a dataset models are compared on; imports no torch."""
+
+from dataclasses import dataclass
+
+from multilight.scenes.assets.splits import Split
+
+
+@dataclass(frozen=True)
+class CaseSettings:
+    """Which pictures of a dataset: the same ones whenever these are the same."""
+
+    splits: tuple[Split, ...] = ("test", "test_ood")
+    """Splits to evaluate on; each is a subset of the tables."""
+    groups: int = 32
+    """Most objects a split, each in up to four views under one pair of lightings."""
+    seed: int = 0
+    """Seed of the order and the lightings."""
+    size: int = 256
+    """Side of the pictures in pixels."""

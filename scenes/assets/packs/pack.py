@@ -1,0 +1,36 @@
+"""What every pack is: a set of assets under one name."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from multilight.scenes.assets.info import AssetError, AssetInfo
+from multilight.scenes.meshes import Mesh
+
+
+class Pack:
+    """A set of assets under one name. Names of assets are given without the `pack/` in front.
+
+    A pack says what it holds; of what it does not say it has none, and asking for that raises `AssetError`.
+    """
+
+    name: str
+
+    def infos(self) -> Sequence[AssetInfo]:
+        """List the pack's assets; quick, opens no model."""
+        raise NotImplementedError
+
+    def mesh_key(self, name: str) -> str:
+        """Hash what a model's conversion depends on (file and code), quickly."""
+        raise AssetError(f"{self.name}/{name} is not a model")
+
+    def mesh(self, name: str) -> Mesh:
+        """Convert a model; raises `AssetError` naming the broken file."""
+        raise AssetError(f"{self.name}/{name} is not a model")
+
+    def texture(self, name: str) -> Path:
+        """Return the file of a texture; raises `AssetError` where there is none."""
+        raise AssetError(f"{self.name}/{name} is not a texture")
+
+    def environment(self, name: str) -> Path:
+        """Return the file of an environment map; raises `AssetError` where there is none."""
+        raise AssetError(f"{self.name}/{name} is not an environment map")
