@@ -29,7 +29,7 @@ STRETCH = 6.0  # side of the part of a ground on which things may stand
 PATIO, PATIO_SIDE, PATIO_STEP = 0.5, (4.5, 9.0), (0.02, 0.06)  # a ground that may be a patio is one; sides; height
 PATIO_EDGE = 0.1  # left free, on both edges together
 GLOWING_INSERTED = 0.85  # an object that glows is an insertable one
-AS_IT_COMES = 0.6  # an object keeps its own resting pose, besides its turn among them
+AS_IT_COMES = 0.6  # an object keeps its own resting pose, besides its chance among them
 FURNITURE = frozenset({"bench", "chair", "floor_plant", "planter", "stool"})
 _THINGS = frozenset(
     {

@@ -19,7 +19,7 @@ from multilight.scenes.streams import Streams, weighted_pick
 
 _TOPS = frozenset({"wood", "marble", "linen", "fabric", "laminate", "stone", "terrazzo", "cork"})
 _BACKED = frozenset({"counter", "nightstand", "sideboard"})
-"""Furniture that turns its back to the wall."""
+"""Furniture with its back to the wall."""
 _TOP_FINISH = {"marble": "stone", "terrazzo": "stone", "stone": "stone", "linen": "fabric", "fabric": "fabric"}
 
 LAID = 0.5

@@ -23,7 +23,7 @@ CROWDING, LEAST_FOOTPRINT = 0.35, 0.004
 """Fraction of a free surface that footprints may take; what is set aside for an object still to come [m²]: a mug's."""
 UNLIT, GLOWING_INSERTED, AS_IT_COMES = 0.2, 0.8, 0.5
 """Probabilities that lamps and displays may stand beside the one that glows, mostly switched off; that what glows is
-insertable, where the draw leaves it out; that an object keeps its own resting pose, besides its turn among them.
+insertable, where the draw leaves it out; that an object keeps its own resting pose, besides its chance among them.
 """
 
 Size = tuple[float, float, float]

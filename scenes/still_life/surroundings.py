@@ -127,6 +127,5 @@ def _backdrop(rng: np.random.Generator, library: AssetLibrary, table: Float64) -
     sweep = make_body("backdrop", "surrounding", info, mesh, (paper,), pose)
     floor = Material(name="concrete", base_color=linear_from_hex("77736c"), roughness=float(rng.uniform(0.4, 0.8)))
     ground = plane("floor", (GROUND, GROUND), floor, np.eye(4))
-    return Surrounding(
-        (ground, sweep.model_copy(update={"category": "backdrop"})), front=-np.pi / 2, opening=BEFORE_SWEEP
-    )
+    sweep = sweep.model_copy(update={"category": "backdrop"})
+    return Surrounding((ground, sweep), front=-np.pi / 2, opening=BEFORE_SWEEP)
