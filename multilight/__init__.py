@@ -3,7 +3,7 @@
     import multilight
 
     data = multilight.make("out/demo", scenes=1, preset="tabletop", views=1)
-    picture = data[0].mix(view=0, condition={"key": 1.0})
+    picture = data[0].mix(view=0, condition=7)  # lit at random, with seed 7
 
 To make: `make`, `make_scene`. To read: `open`, `verify`, and what `open` returns, a `Dataset` of `Scene`s. Light:
 `LightingCondition`; `to_display` turns radiance into what a screen shows. To learn: `MultiLightDataset` with its

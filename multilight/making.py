@@ -18,13 +18,15 @@ from multilight.datagen.text import plain
 from multilight.reading import Dataset, Scene, open
 from multilight.scenes.assets.info import AssetError
 
+Folders = str | Path | Iterable[str | Path]
+
 
 def make(
     out: str | Path,
     *,
     preset: Preset | None = None,
     config: str | Path | None = None,
-    assets: Iterable[str | Path] = (),
+    assets: Folders = (),
     workers: int | None = None,
     repair: bool = False,
     progress: bool = True,
@@ -50,7 +52,7 @@ def make_scene(
     *,
     preset: Preset | None = None,
     config: str | Path | None = None,
-    assets: Iterable[str | Path] = (),
+    assets: Folders = (),
     progress: bool = True,
     **settings: Any,
 ) -> Scene:
@@ -82,7 +84,7 @@ def _made(
     out: Path,
     config: DatasetConfig,
     indices: tuple[int, ...],
-    assets: Iterable[str | Path],
+    assets: Folders,
     workers: int | None,
     repair: bool,
     progress: bool,

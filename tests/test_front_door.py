@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ import pytest
 import multilight
 from tests import ROOT
 
-SPHERES = {
+SPHERES: dict[str, Any] = {
     "renderer": "analytic",
     "kind": "spheres",
     "width": 64,
@@ -121,7 +122,8 @@ def test_one_scene_is_that_of_the_whole_dataset(data: multilight.Dataset, tmp_pa
 def test_dataset_is_a_sequence_of_scenes(data: multilight.Dataset) -> None:
     assert len(data) == 2
     assert [scene.index for scene in data] == [0, 1]
-    assert data[-1].index == data.scene(1).index == data[np.int64(1)].index == 1
+    assert data[-1].index == data.scene(1).index == 1
+    assert data[np.int64(1)].index == 1  # type: ignore[index]
     assert data.record.renderer == "analytic"
     assert data.table.height == 2
     assert data.query("index = 1 and kind = 'spheres'")["index"].to_list() == [1]
@@ -147,7 +149,7 @@ def test_pictures_by_name_gains_seed_and_condition(scene: multilight.Scene) -> N
     drawn = scene.condition(7)
     assert isinstance(drawn, multilight.LightingCondition)
     assert np.array_equal(scene.mix(0, 7), scene.mix(0, drawn))
-    gains = dict.fromkeys(scene.lights, 0.5)
+    gains: dict[str, float | tuple[float, float, float]] = dict.fromkeys(scene.lights, 0.5)
     gains[scene.lights[0]] = (1.0, 0.5, 0.25)
     assert np.allclose(
         multilight.to_display(scene.mix(0, gains)).mean(), 110, atol=50
