@@ -9,7 +9,6 @@ import pytest
 from multilight.datagen.errors import StoreError
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.store import ViewData, read_dataset, read_scene, read_view, scene_dir, write_view
-from tests import ROOT
 from tests.datagen.chain import rewrite_json
 
 
@@ -139,19 +138,3 @@ def test_scene_record_with_changed_content_fails_its_hash(spheres_copy: Path) ->
 def test_not_a_dataset(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match=r"dataset\.json is missing"):
         read_dataset(tmp_path)
-
-
-def test_readme_example_reads_a_view(spheres_dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The README's example with OpenEXR alone runs as printed and gives target and composite."""
-    text = (ROOT / "README.md").read_text()
-    code = re.search(r"<!-- example -->\s*```python\n(.*?)```", text, re.DOTALL)
-    assert code is not None
-    lines = [line for line in code[1].splitlines() if line.strip()]
-    assert len(lines) <= 14
-    monkeypatch.chdir(spheres_dataset)
-    names: dict[str, object] = {}
-    exec(compile(code[1], "README.md", "exec"), names)
-    target, composite, background = (np.asarray(names[k]) for k in ("target", "composite", "background"))
-    assert target.shape == (48, 64, 3)
-    assert np.isfinite(composite).all()
-    assert background.max() > 0
