@@ -17,6 +17,8 @@ from multilight.datagen.storage.store import ViewData, read_scene, read_view, sc
 if TYPE_CHECKING:
     from multilight.model.captures.capture import Capture
 
+if "PYTEST_XDIST_WORKER" in os.environ:  # each process has a core of its own
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
 # Before any test imports Dr.Jit, which takes the first libLLVM it finds.
 prepare_environment(choose_variant())
 

@@ -87,7 +87,7 @@ def options(kind: Any) -> Iterator[str]:
     """Name every option of a command, those of its sub-commands among them."""
     for field, hint in get_type_hints(kind).items():
         yield "--" + field.replace("_", "-")
-        for part in get_args(hint):
+        for part in (hint, *get_args(hint)):
             if dataclasses.is_dataclass(part):
                 yield from options(part)
 
