@@ -8,7 +8,7 @@ import numpy as np
 
 from multilight.datagen.storage.records import AssetCredit, SceneRecord
 from multilight.lights.photometry.directions import direction_from
-from multilight.lights.photometry.ies import luminaire
+from multilight.lights.photometry.luminaires import luminaire
 from multilight.lights.spec import (
     AreaLight,
     EmissiveLight,
