@@ -33,7 +33,7 @@ def pack(native: Path, out: Path) -> Path:
 @pytest.fixture(autouse=True, scope="module")
 def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        patch.setenv("MULTILIGHT_CACHE", str(tmp_path_factory.mktemp("cache")))
         yield
 
 

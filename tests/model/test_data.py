@@ -32,7 +32,7 @@ SMALL = {"split": None, "visible": 5.0, "size": 32}
 @pytest.fixture(autouse=True, scope="module")
 def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        patch.setenv("MULTILIGHT_CACHE", str(tmp_path_factory.mktemp("cache")))
         yield
 
 

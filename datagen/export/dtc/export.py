@@ -13,13 +13,11 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
-from typing import Literal
 
 from multilight.datagen.errors import RunStoppedError, StoreError, UserError
 from multilight.datagen.export.dtc.readme import write_readme
 from multilight.datagen.export.dtc.scene import Frame
-from multilight.datagen.export.dtc.work import Job, export_scene
+from multilight.datagen.export.dtc.work import DtcExport, Job, export_scene
 from multilight.datagen.storage.copies import Copy, Report, making
 from multilight.datagen.storage.manifest import FileEntry, ScenePart, scene_part
 from multilight.datagen.storage.records import SceneRecord
@@ -27,7 +25,6 @@ from multilight.datagen.storage.source import open_dataset
 from multilight.datagen.storage.store import write_text
 from multilight.scenes.gaussians.curves import fold
 
-Part = Literal["2d-train", "2d-eval", "3d-train", "3d-eval", "all"]
 ROOTS: dict[str, str] = {
     "2d-train": "DTC-MultiLight-2D",
     "3d-train": "DTC-MultiLight-3D",
@@ -36,20 +33,6 @@ ROOTS: dict[str, str] = {
 }
 LISTS = {"train": "train.json", "eval": "test.json"}
 Made = Callable[[int, dict[str, dict[str, FileEntry]]], None]
-
-
-@dataclass(frozen=True)
-class DtcExport:
-    """What to export: a dataset's address, where to, which roots, and how."""
-
-    address: str
-    out: Path
-    part: Part = "all"
-    conditions: int | None = None
-    exposures: int = 4
-    size: int = 256
-    map_size: int = 256
-    workers: int | None = None
 
 
 @dataclass(frozen=True)
@@ -126,19 +109,7 @@ def _job(request: DtcExport, record: SceneRecord, copy: Copy, part: ScenePart) -
     """Plan what is missing of a scene."""
     folders = {kind[:2]: f"{ROOTS[kind]}/{scene_name(record.index)}" for kind in _kinds(record, request)}
     missing = {dimension: folder for dimension, folder in folders.items() if not copy.keeps(folder, part)}
-    return Job(
-        address=request.address,
-        root=request.out,
-        index=record.index,
-        views=len(record.views),
-        evaluation=record.split != "train",
-        flat=missing.get("2d"),
-        maps=missing.get("3d"),
-        conditions=request.conditions,
-        exposures=request.exposures,
-        size=request.size,
-        map_size=request.map_size,
-    )
+    return Job(request, record.index, len(record.views), record.split != "train", missing.get("2d"), missing.get("3d"))
 
 
 def _run(jobs: Sequence[Job], workers: int | None, made: Made, report: Report) -> dict[int, str]:
