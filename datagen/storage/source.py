@@ -65,11 +65,6 @@ class DatasetSource:
         return self.place.address
 
     @property
-    def root(self) -> str:
-        """Where the dataset lies on its file system."""
-        return self.place.root
-
-    @property
     def is_local(self) -> bool:
         """Whether the dataset is a folder of this machine."""
         return self.place.is_local

@@ -62,8 +62,8 @@ def open_training(address: str | Path, *, where: str | None = None) -> TrainingS
     """Open a native or a packed dataset; `where` is an SQL expression over the index, as in `open_dataset`.
 
     The first opening of a native dataset reads every view once, to learn which objects can be seen; what it finds is
-    kept in the user's cache folder. Of a packed copy the sizes of all files are held against its manifest, and the
-    contents of those that are not views. Raises `StoreError` where there is no dataset or it is damaged.
+    kept in the cache folder of the assets. Of a packed copy the sizes of all files are held against its manifest, and
+    the contents of those that are not views. Raises `StoreError` where there is no dataset or it is damaged.
     """
     source = open_dataset(address, where=where)
     packed = source.place.exists(VISIBLE)
@@ -80,7 +80,7 @@ def open_training(address: str | Path, *, where: str | None = None) -> TrainingS
 def _checked(source: DatasetSource) -> tuple[dict[str, int], str]:
     """Hold a packed copy against its manifest; returns the sizes of its files, and how to make it anew."""
     if source.is_local:
-        manifest = read_manifest(Path(source.root))
+        manifest = read_manifest(Path(source.place.root))
     else:
         with source.local(MANIFEST) as path:
             manifest = parse_manifest(path.read_bytes(), f"{source.address}/{MANIFEST}")
@@ -93,7 +93,7 @@ def _checked(source: DatasetSource) -> tuple[dict[str, int], str]:
     if source.is_local:  # elsewhere each file as it is fetched
         for name, entry in manifest.files.items():
             try:
-                _check_size(Path(source.root) / name, entry.bytes)
+                _check_size(Path(source.place.root) / name, entry.bytes)
             except StoreError as error:
                 raise StoreError(f"{error}; {told}") from None
     return {name: entry.bytes for name, entry in manifest.files.items()}, told

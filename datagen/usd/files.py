@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from multilight.scenes.assets.formats.ies import ies_text
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.names import slug
 
@@ -29,7 +30,7 @@ class Files:
 
     def luminaire(self, profile: tuple[float, ...]) -> str:
         """Write a light's profile as an IES file of relative intensities."""
-        text = _ies(profile)
+        text = ies_text(np.linspace(0.0, 180.0, len(profile)), [0.0], [profile])
         name = f"luminaire-{hashlib.sha256(text.encode()).hexdigest()[:8]}.ies"
         (self._folder / FOLDER).mkdir(parents=True, exist_ok=True)
         (self._folder / FOLDER / name).write_text(text)
@@ -44,11 +45,3 @@ class Files:
             shutil.copyfile(source, target)
             self._made[asset] = f"./{FOLDER}/{name}"
         return self._made[asset]
-
-
-def _ies(profile: tuple[float, ...]) -> str:
-    """Write a profile as IES LM-63-2002 text, type C, symmetric about the axis; 1 stands for the light's intensity."""
-    angles = np.linspace(0.0, 180.0, len(profile))
-    rows = [" ".join(f"{value:.6g}" for value in row) for row in (angles, [0.0], profile)]
-    header = f"1 -1 1 {len(profile)} 1 1 2 0 0 0"
-    return "\n".join(["IESNA:LM-63-2002", "[MANUFAC] DTC-MultiLight builder", "TILT=NONE", header, "1 1 0", *rows, ""])

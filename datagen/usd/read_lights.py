@@ -54,8 +54,6 @@ def _lamp(path: Path, reader: LightReader, prim: Any, place: Callable[[Any], Any
         case "sun":
             more["angle"] = found.angle
         case "point":
-            profile = get_own(prim, "profile")
-            more |= {"profile": None if profile is None else tuple(profile)}
             more["direction"] = tuple((-np.array(found.pose)[:3, 2]).tolist())
         case "spot":
             right = np.array(found.pose)[:3, 0] @ spot_frame(light.direction)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.ndimage import binary_erosion
+from scipy.ndimage import binary_erosion, maximum_filter
 
 from multilight.datagen.errors import StoreError
 from multilight.datagen.storage.records import SceneRecord
@@ -30,6 +30,7 @@ OVERLAP = 0.005  # rounding of half floats where coverages add up to one
 HALF = 2e-3  # twice the relative spacing of half floats, after sums
 CONSISTENT = 0.97  # pixels that must land on or behind the other view's surface
 DEPTH_ERROR = 2e-3  # relative, median over smooth surfaces
+NEIGHBOURS = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], bool)
 FIREFLY = 50.0  # times the brightest neighbour, and brighter than white
 
 
@@ -221,10 +222,7 @@ def brightness(record: SceneRecord, view: ViewData) -> Brightness:
     medians, highs = np.transpose(pictures)
     everything = LightingCondition.unchanged(view.lights)
     picture = luminance(compose.target(view, everything))
-    padded = np.pad(picture, 1, mode="reflect")
-    height, width = picture.shape
-    shifts = [(y, x) for y in range(3) for x in range(3) if (y, x) != (1, 1)]
-    neighbours = np.max([padded[y : y + height, x : x + width] for y, x in shifts], axis=0)
+    neighbours = maximum_filter(picture, footprint=NEIGHBOURS, mode="mirror")
     spike = float(picture.max(initial=0.0, where=picture > FIREFLY * neighbours))
     return Brightness(tuple(medians.tolist()), tuple(highs.tolist()), spike)
 

@@ -13,7 +13,6 @@ from multilight.lights.photometry.radiometry import rgb_from_scalar
 from multilight.scenes.arrays import Float64
 from multilight.scenes.colour import srgb_decode
 from multilight.scenes.frozen import Rgb
-from multilight.scenes.numbers import smoothstep
 
 COLDEST, HOTTEST = 1000.0, 25000.0
 """Range of colour temperatures in K: below, Rec.709 shows red only; above, the CIE daylight formula ends."""
@@ -45,6 +44,7 @@ GELS: dict[str, tuple[int, int, int]] = {
 books, not measured. None is purer than a real filter, so that no channel is quite dark."""
 
 
+@lru_cache(maxsize=256)  # a blackbody's spectrum takes milliseconds
 def temperature_to_xy(kelvin: float) -> tuple[float, float]:
     """Return the CIE 1931 chromaticity of white light of a colour temperature in K.
 
@@ -53,7 +53,18 @@ def temperature_to_xy(kelvin: float) -> tuple[float, float]:
     """
     if not COLDEST <= kelvin <= HOTTEST:
         raise ValueError(f"colour temperature {kelvin} K is outside {COLDEST:.0f}..{HOTTEST:.0f} K")
-    return _temperature_to_xy(float(kelvin))
+    colour, kelvin = _colour(), float(kelvin)
+    t = (kelvin - PLANCKIAN_BELOW) / (DAYLIGHT_ABOVE - PLANCKIAN_BELOW)
+    t = min(max(t, 0.0), 1.0)
+    weight = t * t * (3.0 - 2.0 * t)
+    xy = np.zeros(2)
+    if weight < 1.0:
+        spectrum = colour.sd_blackbody(kelvin, colour.SpectralShape(360, 780, 1))
+        xyz = colour.sd_to_XYZ(spectrum, k=683, method="Integration")
+        xy += (1.0 - weight) * xyz[:2] / xyz.sum()
+    if weight > 0.0:
+        xy += weight * colour.temperature.CCT_to_xy_CIE_D(kelvin)
+    return float(xy[0]), float(xy[1])
 
 
 def temperature_to_rgb(kelvin: float) -> Rgb:
@@ -106,22 +117,6 @@ def gel_rgb(name: str, density: float = 1.0) -> Rgb:
 def random_gel(rng: np.random.Generator) -> str:
     """Draw the name of a gel, each as likely as any other."""
     return str(rng.choice(sorted(GELS)))
-
-
-@lru_cache(maxsize=256)
-def _temperature_to_xy(kelvin: float) -> tuple[float, float]:
-    """Compute `temperature_to_xy` (a blackbody's spectrum takes milliseconds)."""
-    colour = _colour()
-    t = (kelvin - PLANCKIAN_BELOW) / (DAYLIGHT_ABOVE - PLANCKIAN_BELOW)
-    weight = float(smoothstep(min(max(t, 0.0), 1.0)))
-    xy = np.zeros(2)
-    if weight < 1.0:
-        spectrum = colour.sd_blackbody(kelvin, colour.SpectralShape(360, 780, 1))
-        xyz = colour.sd_to_XYZ(spectrum, k=683, method="Integration")
-        xy += (1.0 - weight) * xyz[:2] / xyz.sum()
-    if weight > 0.0:
-        xy += weight * colour.temperature.CCT_to_xy_CIE_D(kelvin)
-    return float(xy[0]), float(xy[1])
 
 
 @lru_cache(maxsize=1)

@@ -69,7 +69,7 @@ def intensity_from_lumens(lumens: float, colour: Rgb, solid_angle: float = 4.0 *
     """Return the `intensity` [W/sr] of a point or spot of so many lumens, in a colour.
 
     `solid_angle` [sr] is what the lamp shines into, weighted by its distribution: a whole sphere, or what
-    `spot_solid_angle` and `lights.photometry.ies.profile_flux` return.
+    `spot_solid_angle` and `scenes.assets.formats.ies.profile_flux` return.
     """
     if solid_angle <= 0.0:
         raise ValueError(f"solid angle {solid_angle} sr must be above 0")

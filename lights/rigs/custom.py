@@ -98,7 +98,8 @@ def light_from_found(found: FoundLight, world_from_file: Float64, name: str) -> 
     about: dict[str, Any] = {"name": name}
     match found.kind:
         case "point":
-            return PointLight(**about, position=position, intensity=amount, radius=found.radius)
+            shape = {} if found.profile is None else {"profile": found.profile, "direction": direction}
+            return PointLight(**about, position=position, intensity=amount, radius=found.radius, **shape)
         case "spot":
             return SpotLight(
                 **about,

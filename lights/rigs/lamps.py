@@ -7,8 +7,8 @@ from typing import Literal
 import numpy as np
 
 from multilight.lights.photometry.colour import gel_rgb, random_gel, temperature_to_rgb
-from multilight.lights.photometry.ies import luminaire, profile_flux
 from multilight.lights.photometry.irradiance import LightMeter
+from multilight.lights.photometry.luminaires import luminaire
 from multilight.lights.photometry.radiometry import (
     area_radiance_from_lumens,
     intensity_from_lumens,
@@ -17,6 +17,7 @@ from multilight.lights.photometry.radiometry import (
 )
 from multilight.lights.spec import AreaLight, PointLight, SpotLight
 from multilight.scenes.arrays import Float64
+from multilight.scenes.assets.formats.ies import profile_flux
 from multilight.scenes.cameras.pinhole import look_at
 from multilight.scenes.frozen import Rgb, Vector3
 from multilight.scenes.poses import direction_from, matrix4

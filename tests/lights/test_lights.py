@@ -6,13 +6,12 @@ import sys
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from multilight.lights.display.tonemap import HIGHLIGHT_LIMIT, MIDDLE_GREY, meter_ev, to_display, tone_curve
-from multilight.lights.photometry import ies as profiles
-from multilight.lights.photometry import radiometry
+from multilight.lights.photometry import luminaires, radiometry
 from multilight.lights.photometry.colour import (
     GELS,
     gel_rgb,
@@ -25,6 +24,7 @@ from multilight.lights.photometry.directions import spot_frame
 from multilight.lights.relight import gain_matrix, mix
 from multilight.lights.spec import LightingCondition, PointLight
 from multilight.scenes.assets.builtin import skies as sky
+from multilight.scenes.assets.formats.ies import profile_flux
 from multilight.scenes.colour import LUMINANCE_WEIGHTS, luminance, srgb_decode, srgb_encode
 
 LIGHTS = ("key", "fill", "sky")
@@ -327,6 +327,7 @@ def test_named_quantities_keep_their_photometric_value():
         radiometry.intensity_from_lumens(800.0, warm, 0.0)
 
 
+@settings(deadline=None)
 @given(half=st.floats(0.1, 1.4), blend=st.floats(0.0, 1.0))
 def test_spot_solid_angle_is_the_integral_over_the_cone(half, blend):
     cosine = (np.arange(200_000) + 0.5) / 200_000 * (1 - math.cos(half)) + math.cos(half)
@@ -337,89 +338,28 @@ def test_spot_solid_angle_is_the_integral_over_the_cone(half, blend):
 
 # --- luminaires ---
 
-IES = """IESNA:LM-63-1995
-[TEST] a made-up lamp
-TILT=NONE
-1 1000 2.0 4 3 1 2 0 0 0
-0.5 1.0 20
-0 30 60, 90
-0 90 180
-100 80 20 0
-100 60 20 0
-100 40 20 0
-"""
 
-
-def test_ies_is_averaged_scaled_and_resampled():
-    lamp = profiles.parse_ies(IES)
-    # Multiplier 2 times ballast factor 0.5; the mean over 0..180 by trapezoids is 60 at 30 degrees.
-    assert lamp.candela == pytest.approx(100.0)
-    assert len(lamp.profile) == profiles.SAMPLES
-    assert lamp.profile[30] == pytest.approx(0.6)
-    assert lamp.profile[15] == pytest.approx(0.8)
-    assert lamp.profile[75] == pytest.approx(0.1)
-    assert not any(lamp.profile[90:])
-    angle = np.linspace(0, math.pi, 100_001)
-    curve = np.interp(angle, np.linspace(0, math.pi, len(lamp.profile)), lamp.profile)
-    expected = 2 * math.pi * float((curve * np.sin(angle)).mean() * math.pi) * 100
-    assert lamp.lumens == pytest.approx(expected, rel=1e-4)
-
-
-def test_flux_of_an_even_profile_is_a_sphere():
-    assert profiles.profile_flux((1.0,) * 7) == pytest.approx(4 * math.pi)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ("TILT=NONE", "", "no line TILT="),
-        ("TILT=NONE", "TILT=INCLUDE", "TILT=INCLUDE: only TILT=NONE"),
-        ("1 1000 2.0 4 3 1", "1 1000 2.0 4 3 2", "photometric type 2"),
-        ("100 40 20 0\n", "", "15 angles and candelas, 19 are needed"),
-        ("100 80", "100 eighty", "eighty"),
-        ("100 80", "100 nan", "not finite"),
-        ("100 80", "100 -80", "lowest -80"),
-        ("0 30 60, 90", "0 60 30, 90", "vertical angles must ascend"),
-        ("1 1000 2.0 4 3 1", "1 1000 2.0 1 3 1", "1 vertical"),
-        ("1 1000 2.0", "1 1000 0.0", "not all 0"),
-    ],
-)
-def test_broken_ies_is_named(old, new, words):
-    assert old in IES
-    with pytest.raises(profiles.IesError, match=f"lamp.ies: .*{words}"):
-        profiles.parse_ies(IES.replace(old, new, 1), source="lamp.ies")
-
-
-def test_ies_file_errors_name_the_file(tmp_path):
-    path = tmp_path / "lamp.ies"
-    path.write_text("hello")
-    with pytest.raises(profiles.IesError, match=r"lamp\.ies: no line TILT="):
-        profiles.read_ies(path)
-    path.write_text(IES)
-    assert profiles.read_ies(path) == profiles.parse_ies(IES)
-
-
-@pytest.mark.parametrize("name", profiles.LUMINAIRES)
+@pytest.mark.parametrize("name", luminaires.LUMINAIRES)
 def test_built_in_luminaires_keep_their_flux(name):
-    lamp = profiles.luminaire(name)
-    assert lamp.lumens == pytest.approx(profiles.LUMINAIRES[name][0], rel=0.02)
+    lamp = luminaires.luminaire(name)
+    assert lamp.lumens == pytest.approx(luminaires.LUMINAIRES[name][0], rel=0.02)
     assert max(lamp.profile) == 1.0
     assert min(lamp.profile) >= 0.0
-    below = profiles.profile_flux((*lamp.profile[:91], *[0.0] * 90)) * lamp.candela / lamp.lumens
+    below = profile_flux((*lamp.profile[:91], *[0.0] * 90)) * lamp.candela / lamp.lumens
     assert (below < 0.1) == (name == "uplight")
     assert PointLight(name="a", position=(0, 0, 1), intensity=(1, 1, 1), profile=lamp.profile).profile == lamp.profile
 
 
 def test_beams_are_as_wide_as_they_are_called():
     def full_width(name):
-        return 2 * int(np.argmax(np.array(profiles.luminaire(name).profile) < 0.5))
+        return 2 * int(np.argmax(np.array(luminaires.luminaire(name).profile) < 0.5))
 
     assert full_width("downlight_narrow") == pytest.approx(15, abs=2)
     assert full_width("downlight_medium") == pytest.approx(36, abs=3)
     assert full_width("downlight_wide") == pytest.approx(70, abs=6)
-    assert np.argmax(profiles.luminaire("batwing").profile) in range(36, 48)
+    assert np.argmax(luminaires.luminaire("batwing").profile) in range(36, 48)
     with pytest.raises(ValueError, match=r"no luminaire 'torch'.*batwing"):
-        profiles.luminaire("torch")
+        luminaires.luminaire("torch")
 
 
 # --- frames ---

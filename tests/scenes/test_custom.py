@@ -20,6 +20,7 @@ from multilight.datagen.production.scene import sample_scene
 from multilight.lights.photometry.radiometry import LUMINOUS_EFFICACY
 from multilight.lights.rigs.custom import custom_lights
 from multilight.lights.spec import AreaLight, EmissiveLight, EnvironmentLight, Light, PointLight, SpotLight, SunLight
+from multilight.scenes.assets.formats.ies import ies_text, profile_flux
 from multilight.scenes.assets.library import AssetError, AssetLibrary
 from multilight.scenes.geometry.contact import check_contacts
 from multilight.scenes.kinds.custom import background_bodies, find_places, sample_custom
@@ -294,6 +295,16 @@ def test_usd_lights_have_their_closed_form(tmp_path: Path) -> None:
     cone = UsdLux.SphereLight.Define(stage, "/world/cone")
     cone.CreateIntensityAttr(1000.0)
     UsdLux.ShapingAPI.Apply(cone.GetPrim()).CreateShapingConeAngleAttr(30.0)
+    for name, normalized in (("lantern", False), ("globe", True)):
+        shaded = UsdLux.SphereLight.Define(stage, f"/world/{name}")
+        shaded.CreateRadiusAttr(7.0)
+        shaded.CreateIntensityAttr(400.0)
+        shaded.CreateNormalizeAttr(True)
+        shaded.AddRotateXOp().Set(90.0)
+        shaping = UsdLux.ShapingAPI.Apply(shaded.GetPrim())
+        shaping.CreateShapingIesFileAttr("./lamp.ies")
+        shaping.CreateShapingIesNormalizeAttr(normalized)
+    (tmp_path / "lamp.ies").write_text(ies_text([0, 90, 180], [0], [[3.0, 3.0, 0.0]]))
     panel = UsdLux.RectLight.Define(stage, "/world/panel")
     panel.CreateWidthAttr(100.0)
     panel.CreateHeightAttr(50.0)
@@ -320,6 +331,15 @@ def test_usd_lights_have_their_closed_form(tmp_path: Path) -> None:
     assert isinstance(found["steady"], PointLight)
     # Flux pi * L * A = pi * intensity, over 4 pi sr, whatever the radius.
     assert found["steady"].intensity == pytest.approx((100 * NIT,) * 3)
+    lantern, globe = found["lantern"], found["globe"]
+    assert isinstance(lantern, PointLight)
+    assert isinstance(globe, PointLight)
+    assert lantern.intensity == pytest.approx((300 * NIT,) * 3), "candelas multiply the luminance"
+    assert lantern.direction == pytest.approx((0, 1, 0))
+    assert lantern.profile == globe.profile
+    assert lantern.profile is not None
+    assert (lantern.profile[60], lantern.profile[135]) == (1.0, 0.5)
+    assert profile_flux(lantern.profile) * np.array(globe.intensity) == pytest.approx(4 * math.pi * 100 * NIT)
     assert isinstance(found["cone"], SpotLight)
     assert found["cone"].half_angle == pytest.approx(math.radians(30))
     assert found["cone"].direction == pytest.approx((0, 0, -1))

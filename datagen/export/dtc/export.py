@@ -110,19 +110,7 @@ def _job(request: DtcExport, record: SceneRecord, copy: Copy, part: ScenePart) -
     """Plan what is missing of a scene."""
     folders = {kind[:2]: f"{ROOTS[kind]}/{scene_name(record.index)}" for kind in _kinds(record, request)}
     missing = {dimension: folder for dimension, folder in folders.items() if not copy.keeps(folder, part)}
-    return Job(
-        address=request.address,
-        root=request.out,
-        index=record.index,
-        views=len(record.views),
-        evaluation=record.split != "train",
-        flat=missing.get("2d"),
-        maps=missing.get("3d"),
-        conditions=request.conditions,
-        exposures=request.exposures,
-        size=request.size,
-        map_size=request.map_size,
-    )
+    return Job(request, record.index, len(record.views), record.split != "train", missing.get("2d"), missing.get("3d"))
 
 
 def _run(jobs: Sequence[Job], workers: int | None, made: Made, report: Report) -> dict[int, str]:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from multilight.datagen.export.dtc import maps2d, maps3d
+from multilight.datagen.export.dtc.request import DtcExport
 from multilight.datagen.export.dtc.scene import Frame, Geometry, Lighting, survey
 from multilight.datagen.storage.copies import files_of, whole_folder
 from multilight.datagen.storage.manifest import FileEntry
@@ -25,19 +26,14 @@ from multilight.scenes.streams import Streams
 
 @dataclass(frozen=True)
 class Job:
-    """One scene to export into `root`: `flat` and `maps` are the 2D and 3D folders in it, None where there already."""
+    """One scene to export: `flat` and `maps` are the 2D and 3D folders in `request.out`, None where there already."""
 
-    address: str
-    root: Path
+    request: DtcExport
     index: int
     views: int
     evaluation: bool
     flat: str | None
     maps: str | None
-    conditions: int | None
-    exposures: int
-    size: int
-    map_size: int
 
 
 @dataclass(frozen=True)
@@ -69,22 +65,23 @@ class Choice:
 
 def export_scene(job: Job) -> dict[str, dict[str, FileEntry]]:
     """Write one scene; returns the files of each folder. Raises `StoreError` naming a file that cannot be read."""
-    source = open_dataset(job.address)
+    request = job.request
+    source = open_dataset(request.address)
     record = source.scene(job.index)
-    frame = Frame.fit(job.size, record.views[0].height, record.views[0].width)
-    conditions = record.conditions[: job.conditions]
-    choice = choose(record, conditions, job.exposures)
+    frame = Frame.fit(request.size, record.views[0].height, record.views[0].width)
+    conditions = record.conditions[: request.conditions]
+    choice = choose(record, conditions, request.exposures)
     lightings, geometry = survey(source, record, frame, (choice.base, choice.insert) if job.evaluation else conditions)
     folders = [folder for folder in (job.flat, job.maps) if folder]
     scene = _Scene(source, record, frame, lightings, geometry, Path(folders[0]).name)
     with contextlib.ExitStack() as stack:
-        flat, maps = (stack.enter_context(whole_folder(job.root, f)) if f else None for f in (job.flat, job.maps))
-        gaussians = _gaussians(scene, job.map_size) if maps else None
+        flat, maps = (stack.enter_context(whole_folder(request.out, f)) if f else None for f in (job.flat, job.maps))
+        gaussians = _gaussians(scene, request.map_size) if maps else None
         if job.evaluation:
             _evaluation(scene, choice, flat, maps, gaussians)
         else:
-            _training(scene, job.exposures, flat, maps, gaussians)
-    return {folder: files_of(job.root, folder) for folder in folders}
+            _training(scene, request.exposures, flat, maps, gaussians)
+    return {folder: files_of(request.out, folder) for folder in folders}
 
 
 def choose(record: SceneRecord, conditions: Sequence[LightingCondition], exposures: int) -> Choice:

@@ -23,10 +23,10 @@ Unit = Literal["cd", "lx", "nit", "W/sr", "W/m2", "W/(m2 sr)"]
 class FoundLight(Frozen):
     """A light of a scene file, in the file's own unit: `amount` is its colour (linear Rec.709) times its strength.
 
-    `pose` is rigid; lights with a direction shine along its -Z. `kind` says which of the other fields count:
-    point (radius), spot (half_angle [rad], blend, radius), sun (angle [rad], its diameter), area (width, height [m],
-    `ellipse`), environment (`map`: an asset id, or uniform; `rotation` as in `lights.spec`), emissive (`node` and the
-    number of its `part`; `texture` multiplies).
+    `pose` is rigid; lights with a direction shine along its -Z. `kind` says which of the other fields count: point
+    (radius, `profile` about its -Z as in `lights.spec`), spot (half_angle [rad], blend, radius), sun (angle [rad], its
+    diameter), area (width, height [m], `ellipse`), environment (`map`: an asset id, or uniform; `rotation` as in
+    `lights.spec`), emissive (`node` and the number of its `part`; `texture` multiplies).
     """
 
     kind: Literal["point", "spot", "sun", "area", "environment", "emissive"]
@@ -35,6 +35,7 @@ class FoundLight(Frozen):
     unit: Unit
     pose: Matrix4 = ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))
     radius: Annotated[float, Field(ge=0)] = 0.0
+    profile: tuple[Annotated[float, Field(ge=0, le=1)], ...] | None = Field(default=None, min_length=2)
     half_angle: Annotated[float, Field(gt=0, lt=1.5708)] = 0.7854
     blend: Annotated[float, Field(ge=0, le=1)] = 0.0
     angle: Annotated[float, Field(ge=0)] = 0.0

@@ -18,7 +18,7 @@ from PIL import Image
 from pydantic import TypeAdapter
 
 from multilight.scenes.assets.cache import is_sound, read_kept, sources_key, write_json
-from multilight.scenes.assets.formats import beside, claims, cleaning, gltf, scene_file
+from multilight.scenes.assets.formats import beside, claims, cleaning, gltf, ies, scene_file
 from multilight.scenes.assets.formats.cleaning import RawPart, clean_mesh, extent
 from multilight.scenes.assets.formats.mtl import part_name
 from multilight.scenes.assets.formats.scene_file import FoundLight, Imported, Node, keep_picture
@@ -71,7 +71,7 @@ class BackgroundPack(Pack):
     def _folder(self) -> Path:
         """Where the converted scene lies: under the hash of the file, of what lies beside it, and of the code."""
         usd = sorted(str(path) for path in (Path(__file__).parents[1] / "formats" / "usd").glob("*.py"))
-        own = (str(module.__file__) for module in (beside, claims, gltf, scene_file, cleaning))
+        own = (str(module.__file__) for module in (beside, claims, gltf, ies, scene_file, cleaning))
         code = sources_key(__file__, *own, *usd)
         digest = hashlib.sha256(code.encode())
         digest.update(self._file.read_bytes())

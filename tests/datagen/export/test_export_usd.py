@@ -16,8 +16,8 @@ from multilight.datagen.usd.check import stage_faults
 from multilight.datagen.usd.read import StageScene, read_stage
 from multilight.datagen.usd.stage import STAGE, write_stage
 from multilight.lights.display.tonemap import to_display
-from multilight.lights.photometry.ies import parse_ies
 from multilight.lights.spec import AreaLight, LightRig, PointLight, SpotLight
+from multilight.scenes.assets.formats.ies import parse_ies
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.cameras.pinhole import project
 from multilight.scenes.meshes import Mesh

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from multilight.datagen.storage.records import AssetCredit, SceneRecord
-from multilight.lights.photometry.ies import luminaire
+from multilight.lights.photometry.luminaires import luminaire
 from multilight.lights.spec import (
     AreaLight,
     EmissiveLight,

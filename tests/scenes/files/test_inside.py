@@ -115,7 +115,7 @@ def test_no_record_leads_out_of_a_dataset(
     assert main(["verify", address]) == 1
     assert "views.0.file" in capsys.readouterr().out.replace("\n", "")
     assert main(["sheet", address, "--out", str(tmp_path / "sheet.png")]) == 1
-    source = open_dataset(address, cache=tmp_path / "cache")
+    source = open_dataset(address)
     with pytest.raises(StoreError, match=r"views\.0\.file"):
         source.scene(0)
     assert victim.read_bytes() == b"precious"
@@ -123,14 +123,11 @@ def test_no_record_leads_out_of_a_dataset(
 
 
 @pytest.mark.parametrize("name", HOSTILE.values(), ids=HOSTILE)
-@pytest.mark.parametrize("cached", [True, False])
 @pytest.mark.parametrize("place", ["folder", "memory"])
-def test_a_source_hands_out_no_file_elsewhere(
-    spheres_dataset: Path, tmp_path: Path, name: str, cached: bool, place: str
-) -> None:
+def test_a_source_hands_out_no_file_elsewhere(spheres_dataset: Path, tmp_path: Path, name: str, place: str) -> None:
     with in_memory(spheres_dataset, "names") as remote:
         address = str(spheres_dataset) if place == "folder" else remote
-        source = open_dataset(address, cache=tmp_path / "cache" if cached else None)
+        source = open_dataset(address)
         with pytest.raises(StoreError, match="it is not read"), source.local(name):
             pass
     assert not list(tmp_path.rglob("*"))

@@ -16,8 +16,10 @@ import OpenEXR
 from pxr import UsdGeom, UsdLux
 
 from multilight.scenes.arrays import Float64
+from multilight.scenes.assets.formats.ies import parse_ies
 from multilight.scenes.assets.formats.scene_file import FoundLight
-from multilight.scenes.assets.formats.usd.materials import inputs_of, open_picture, resolved_file, rgb_of
+from multilight.scenes.assets.formats.usd.materials import inputs_of, open_picture, read_resolved, resolved_file, rgb_of
+from multilight.scenes.assets.formats.usd.names import PROFILE
 from multilight.scenes.assets.info import AssetError
 from multilight.scenes.colour import srgb_decode
 from multilight.scenes.poses import matrix4, pose_of
@@ -47,7 +49,7 @@ class LightReader:
             )
 
         if prim.IsA(UsdLux.SphereLight):
-            return _sphere(made, prim, level, float(value("radius", 0.5)) * float(stretch.mean()), normalized)
+            return self._sphere(made, prim, level, float(value("radius", 0.5)) * float(stretch.mean()), normalized)
         if prim.IsA(UsdLux.RectLight):
             size = float(value("width", 1.0)) * stretch[0], float(value("height", 1.0)) * stretch[1]
             area = size[0] * size[1]
@@ -82,6 +84,35 @@ class LightReader:
             return made("environment", level, "nit")
         return made("environment", level, "nit", map=self.keep_map(file, prim), rotation=rotation)
 
+    def _sphere(self, made: Any, prim: Any, level: float, radius: float, normalized: bool) -> FoundLight:
+        """Translate a sphere light: its intensity is its luminance times the disc one sees; a cone makes it a spot."""
+        seen = math.pi * radius**2
+        intensity = level / 4 if normalized else level * seen
+        size = 0.0 if prim.GetAttribute("treatAsPoint").Get() else radius
+        if not prim.HasAPI(UsdLux.ShapingAPI):
+            return made("point", intensity, "cd", radius=size)
+        shaping = UsdLux.ShapingAPI(prim)
+        half = math.radians(float(shaping.GetShapingConeAngleAttr().Get() or 90.0))
+        if half >= 1.5:
+            profile, factor = self._profile(prim, shaping)
+            return made("point", intensity * factor, "cd", radius=size, profile=profile)
+        soft = float(np.clip(shaping.GetShapingConeSoftnessAttr().Get() or 0.0, 0, 1))
+        return made("spot", intensity, "cd", radius=size, half_angle=half, blend=soft)
+
+    def _profile(self, prim: Any, shaping: Any) -> tuple[tuple[float, ...] | None, float]:
+        """Return a light's profile, that of its IES file, and what its intensity is multiplied by.
+
+        The file's candelas multiply the luminance as they are, or, where it is to be normalized, over their mean.
+        """
+        own = prim.GetAttribute(PROFILE).Get()
+        file = shaping.GetShapingIesFileAttr().Get()
+        if own is not None or file is None or not file.path:
+            return None if own is None else tuple(own), 1.0
+        text = read_resolved(self.path, file, prim.GetPath()).decode("latin-1")
+        found = parse_ies(text, source=f"{self.path}: {file.path}")
+        normalized = bool(shaping.GetShapingIesNormalizeAttr().Get())
+        return found.profile, found.candela * (4 * math.pi / found.lumens if normalized else 1.0)
+
 
 def write_map(path: Path, file: Any, where: Any, target: Path) -> None:
     """Bring a dome's texture to `target` as EXR; raises `AssetError` for formats that are not read."""
@@ -100,18 +131,3 @@ def _pole_axis(prim: Any) -> str:
     """Return the axis that a dome of the second schema has its pole on."""
     axis = str(prim.GetAttribute("poleAxis").Get() or "scene")
     return str(UsdGeom.GetStageUpAxis(prim.GetStage())) if axis == "scene" else axis
-
-
-def _sphere(made: Any, prim: Any, level: float, radius: float, normalized: bool) -> FoundLight:
-    """Translate a sphere light: its intensity is its luminance times the disc that one sees; a cone makes it a spot."""
-    seen = math.pi * radius**2
-    intensity = level / 4 if normalized else level * seen
-    size = 0.0 if prim.GetAttribute("treatAsPoint").Get() else radius
-    if not prim.HasAPI(UsdLux.ShapingAPI):
-        return made("point", intensity, "cd", radius=size)
-    shaping = UsdLux.ShapingAPI(prim)
-    half = math.radians(float(shaping.GetShapingConeAngleAttr().Get() or 90.0))
-    if half >= 1.5:
-        return made("point", intensity, "cd", radius=size)
-    soft = float(np.clip(shaping.GetShapingConeSoftnessAttr().Get() or 0.0, 0, 1))
-    return made("spot", intensity, "cd", radius=size, half_angle=half, blend=soft)

@@ -167,11 +167,20 @@ def open_picture(path: Path, file: Any, where: Any) -> Image.Image:
     resolved = resolved_file(path, file, where)
     try:
         if "[" in resolved:  # inside a .usdz
-            return limits.open_picture(_from_package(resolved)).copy()
+            return limits.open_picture(io.BytesIO(_from_package(resolved))).copy()
         with limits.open_picture(Path(resolved)) as picture:
             return picture.copy()
     except (OSError, SyntaxError, ValueError, KeyError, zipfile.BadZipFile) as error:
         raise AssetError(f"{path}: texture {file.path!r} cannot be read ({error}); save it as PNG") from error
+
+
+def read_resolved(path: Path, file: Any, where: Any) -> bytes:
+    """Read a text that the stage at `path` names; raises `AssetError` naming the prim `where`."""
+    resolved = resolved_file(path, file, where)
+    try:
+        return _from_package(resolved) if "[" in resolved else limits.read_bytes(Path(resolved), limits.MOST_TEXT)
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        raise AssetError(f"{path}: {file.path!r} cannot be read ({error})") from error
 
 
 def resolved_file(path: Path, file: Any, where: Any) -> str:
@@ -179,11 +188,11 @@ def resolved_file(path: Path, file: Any, where: Any) -> str:
     resolved = str(file.resolvedPath) if file is not None else ""
     if not resolved:
         named = file.path if file is not None else "nothing"
-        raise AssetError(f"{path}: {where} names the texture {named!r}, which is missing; put it there")
+        raise AssetError(f"{path}: {where} names the file {named!r}, which is missing; put it there")
     try:
         held(path.parent, Path(package_of(resolved)))
     except OutsideError as error:
-        raise AssetError(f"{path}: {where} names a texture outside: {error}; put it beside the stage") from None
+        raise AssetError(f"{path}: {where} names a file outside: {error}; put it beside the stage") from None
     return resolved
 
 
@@ -192,8 +201,8 @@ def package_of(name: str) -> str:
     return name.partition("[")[0]
 
 
-def _from_package(resolved: str) -> io.BytesIO:
-    """Open a file inside a .usdz."""
+def _from_package(resolved: str) -> bytes:
+    """Read a file inside a .usdz."""
     package, _, inner = resolved.rstrip("]").partition("[")
     with zipfile.ZipFile(package) as archive:
-        return io.BytesIO(limits.read_member(archive, inner))
+        return limits.read_member(archive, inner)
