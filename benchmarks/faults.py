@@ -75,7 +75,7 @@ class Ran:
 
 
 def flip(path: Path, rng: random.Random) -> None:
-    """Turn one bit over."""
+    """Flip one bit."""
     content = bytearray(path.read_bytes())
     content[rng.randrange(len(content))] ^= 1 << rng.randrange(8)
     path.write_bytes(content)
@@ -201,11 +201,11 @@ def judge_reader(ran: Ran, wanted: Ran) -> str:
     if ran.code == 1:
         return "refused" if one_line(ran.said) or ran.said == wanted.said else "MANY LINES"
     if ran.output != wanted.output:
-        return "SILENT" if _told(ran) == _told(wanted) else "OTHER OUTPUT"
-    return "unread" if _told(ran) == _told(wanted) else "rebuilt"
+        return "SILENT" if _messages(ran) == _messages(wanted) else "OTHER OUTPUT"
+    return "unread" if _messages(ran) == _messages(wanted) else "rebuilt"
 
 
-def _told(ran: Ran) -> list[str]:
+def _messages(ran: Ran) -> list[str]:
     return [line for line in ran.said.splitlines() if line and "left" not in line]
 
 
@@ -244,7 +244,7 @@ class Bench:
         shutil.copytree(self.place, self.sound)
         self.wanted = tree(self.sound)
         # Outputs may name the dataset that they were made of, so it always lies in the same place.
-        cases = readers(self.place, self._fresh("out"))
+        cases = readers(self.place, self.fresh("out"))
         self.outputs = {name: run(*case) for name, case in cases.items() if name not in COPIES or name in copies}
         self.copies: dict[str, Path] = {}
         for ran in self.outputs.values():
@@ -255,7 +255,7 @@ class Bench:
             self.copies[name] = place.rename(folder / f"copy-{name}")
             _must(run(["verify", self.copies[name]]))
 
-    def _fresh(self, name: str) -> Path:
+    def fresh(self, name: str) -> Path:
         place = self.folder / name
         shutil.rmtree(place, ignore_errors=True)
         place.mkdir()
@@ -285,7 +285,7 @@ class Bench:
             if chosen is None or command in chosen:
                 ran = run(["verify", root, *(["--quick"] if quick else [])])
                 cells[command] = judge_verify(ran, quick=quick, same_size=same and name.endswith((".exr", ".png")))
-        for command, case in readers(root, self._fresh("out")).items():
+        for command, case in readers(root, self.fresh("out")).items():
             if chosen is None or command in chosen:
                 cells[command] = judge_reader(run(*case), self.outputs[command])
         for command, full in (("dataset", False), ("dataset --repair", True)):
@@ -384,7 +384,7 @@ def full_disk(bench: Bench, command: str, kilobytes: int) -> str:
     """Run a command on a disk that fills up, or, where none can be mounted, with a limit on the size of files."""
     bench.restore()
     with small_disk(bench.folder / "disk", f"{kilobytes}k") as disk:
-        out = disk or bench._fresh("out")
+        out = disk or bench.fresh("out")
         case, place = readers(bench.place, out)[command] if command != "dataset" else (dataset(out / "d"), out / "d")
         limit = "" if disk else f"ulimit -f {kilobytes // 8}; "
         line = " ".join([sys.executable, "-m", "multilight", *map(str, case)])
@@ -412,7 +412,7 @@ def full_disk(bench: Bench, command: str, kilobytes: int) -> str:
 def closed_streams(bench: Bench, command: str, how: str) -> str:
     """Run a command with closed or full streams, or a reader that leaves."""
     bench.restore()
-    out = bench._fresh("out")
+    out = bench.fresh("out")
     case, _ = readers(bench.place, out)[command] if command != "dataset" else (dataset(out / "d"), None)
     line = " ".join([sys.executable, "-m", "multilight", *map(str, case)])
     done = subprocess.run(

@@ -79,7 +79,7 @@ def bare(world: World, points: np.ndarray, count: int) -> float:
 
 
 def main(options: Options) -> None:
-    """Print rays a core-second, both ways."""
+    """Print rays a core-second, of paths and of bare rays."""
     config = DatasetConfig(seed=options.seed, width=options.size, height=options.size)
     library = AssetLibrary()
     scene, rig = sample_scene(config, library, Streams(options.seed, 0))

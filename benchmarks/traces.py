@@ -70,7 +70,7 @@ class Background:
 
 
 def backgrounds(options: Options, backend: Backend, library: AssetLibrary) -> Iterator[Background]:
-    """Render the first view of each scene in all ways."""
+    """Render the first view of each scene with and without each object."""
     values = {"seed": options.seed, "scenes": options.scenes, "width": options.size, "height": options.size, "views": 1}
     config = load_config(None, values, options.preset)
     for index in range(options.scenes):
@@ -124,7 +124,7 @@ def backgrounds(options: Options, backend: Backend, library: AssetLibrary) -> It
         print(f"scene {index} ({scene.kind}) rendered", flush=True)
 
 
-def shares_left(layer: Background) -> Iterator[float]:
+def fractions_left(layer: Background) -> Iterator[float]:
     """Yield how much of the object's contrast is left, by blocks inside the silhouette."""
     assert layer.converged is not None
     assert layer.present is not None
@@ -146,8 +146,8 @@ def _error(picture: Float32, true: Float32, where: Mask) -> float:
 
 
 def _colour_error(picture: Float32, true: Float32, where: Mask) -> float:
-    shares = [image / (image.sum(axis=-1, keepdims=True) + 0.05 * true.mean()) for image in (picture, true)]
-    return float(np.abs(shares[0] - shares[1])[where].mean())
+    chromaticities = [image / (image.sum(axis=-1, keepdims=True) + 0.05 * true.mean()) for image in (picture, true)]
+    return float(np.abs(chromaticities[0] - chromaticities[1])[where].mean())
 
 
 def _gradient_energy(picture: Float32, true: Float32, where: Mask) -> float:
@@ -166,8 +166,8 @@ MEASURES: dict[str, Callable[[Float32, Float32, Mask], float]] = {
 
 def compare(layers: list[Background]) -> None:
     """Print the ratios of what was removed from to what never had the object."""
-    left = [(max(found), layer.name) for layer in layers if (found := list(shares_left(layer)))]
-    ghosts = [f"{name} ({share:.2f})" for share, name in sorted(left, reverse=True) if share > 0.5]
+    left = [(max(found), layer.name) for layer in layers if (found := list(fractions_left(layer)))]
+    ghosts = [f"{name} ({fraction:.2f})" for fraction, name in sorted(left, reverse=True) if fraction > 0.5]
     print(f"layers with a block in which more than half of the object is left: {len(ghosts)} of {len(left)}", *ghosts)
     for place in ("inside silhouettes", "in a ring round them"):
         for name, measure in MEASURES.items():
@@ -232,8 +232,8 @@ def found_by_network(layers: list[Background], kind: str, steps: int) -> tuple[f
 
 
 def _logarithm(layer: Float32) -> torch.Tensor:
-    middle = np.exp(np.log(layer.mean(axis=-1) + 1e-9).mean())
-    return torch.from_numpy(np.log(layer / middle + 0.02)).permute(2, 0, 1)
+    mean = np.exp(np.log(layer.mean(axis=-1) + 1e-9).mean())
+    return torch.from_numpy(np.log(layer / mean + 0.02)).permute(2, 0, 1)
 
 
 def _area(scores: Float32, truth: Mask) -> float:

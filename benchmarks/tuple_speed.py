@@ -1,7 +1,7 @@
 """Milliseconds and bytes of one training tuple: packed, from the EXR store, and as four 8-bit PNGs, side by side.
 
 A tuple is composite, background, target, depth, mask and effect of one object in one view under two lightings, read
-from warm storage on one thread. The ways take turns, so that all of them meet the same machine. The PNGs (composite,
+from warm storage on one thread. The methods alternate, so that all of them meet the same machine. The PNGs (composite,
 background, target, depth) are those that a dataset of finished pictures would hold, decoded to the same float tensors.
 Bytes are of one view; the published set stores each picture at 12 lightings x 4 exposures.
 
@@ -22,8 +22,8 @@ from multilight.datagen.storage.packed import PackedView
 from multilight.datagen.storage.training_source import TrainingSource, open_training
 from multilight.lights.display.tonemap import to_display
 from multilight.model.data import MultiLightDataset, SampleSettings
-from multilight.model.data.augment import PLAIN, centre_frame
-from multilight.model.data.dataset import framed_sample
+from multilight.model.data.augment import PLAIN, centre_crop
+from multilight.model.data.dataset import cropped_sample
 from multilight.model.data.mixing import mix_tuple
 
 Place = tuple[int, int, str]
@@ -38,7 +38,7 @@ class Options:
     packed: tyro.conf.Positional[str]
     """Its packed copy."""
     rounds: int = 100
-    """Tuples that every way makes; the EXR store makes a tenth of them."""
+    """Tuples that every method makes; the EXR store makes a tenth of them."""
 
 
 def tuple_of(source: TrainingSource, place: Place) -> dict[str, torch.Tensor]:
@@ -51,7 +51,7 @@ def mixed(view: PackedView, name: str) -> dict[str, torch.Tensor]:
     """Mix one tuple under the last two of the view's stored lightings."""
     insert, base = view.conditions[-2:]
     pictures = mix_tuple(view, name, insert=insert, base=base, camera=PLAIN)
-    return framed_sample(view, pictures, centre_frame(*view.z_depth.shape), min(view.z_depth.shape))
+    return cropped_sample(view, pictures, centre_crop(*view.z_depth.shape), min(view.z_depth.shape))
 
 
 def png(values: torch.Tensor) -> bytes:
@@ -78,22 +78,22 @@ def published_bytes(source: TrainingSource, scene: int, number: int, name: str) 
     return total
 
 
-def milliseconds(ways: dict[str, Callable[[int], object]], rounds: int) -> dict[str, list[float]]:
-    """Time every way in turn, in milliseconds of processor time."""
-    spent: dict[str, list[float]] = {name: [] for name in ways}
-    for turn in range(-5, rounds):
-        for name, make in ways.items():
-            if name.startswith("EXR") and turn % 10:
+def milliseconds(methods: dict[str, Callable[[int], object]], rounds: int) -> dict[str, list[float]]:
+    """Time every method, one after the other in every round, in milliseconds of processor time."""
+    spent: dict[str, list[float]] = {name: [] for name in methods}
+    for number in range(-5, rounds):
+        for name, make in methods.items():
+            if name.startswith("EXR") and number % 10:
                 continue
             start = time.thread_time()
-            make(turn)
-            if turn >= 0:
+            make(number)
+            if number >= 0:
                 spent[name].append((time.thread_time() - start) * 1e3)
     return spent
 
 
 def main(options: Options) -> None:
-    """Print time and bytes of every way."""
+    """Print time and bytes of every method."""
     torch.set_num_threads(1)
     native, packed = open_training(options.native), open_training(options.packed)
     plan = MultiLightDataset(options.packed, SampleSettings(split=None)).plan
@@ -107,7 +107,7 @@ def main(options: Options) -> None:
     random = MultiLightDataset(options.packed, SampleSettings(split=None, augment=False, length=options.rounds + 5))
     varied = MultiLightDataset(options.packed, SampleSettings(split=None, length=options.rounds + 5))
     count = len(places)
-    ways: dict[str, Callable[[int], object]] = {
+    methods: dict[str, Callable[[int], object]] = {
         "packed: read and mix": lambda i: tuple_of(packed, places[i % count]),
         "  of it mixing": lambda i: mixed(views[i % count], places[i % count][2]),
         "  and with new lighting, metered": lambda i: random[i % len(random)],
@@ -115,9 +115,9 @@ def main(options: Options) -> None:
         "four 8-bit PNGs": lambda i: read_pngs(files[i % count]),
         "EXR store": lambda i: tuple_of(native, places[i % count]),
     }
-    for name, spent in milliseconds(ways, options.rounds).items():
-        low, middle = np.percentile(spent, (5, 50))
-        print(f"{name:36}{middle:8.2f} ms (median), {low:.2f} ms (5th percentile)")
+    for name, spent in milliseconds(methods, options.rounds).items():
+        low, median = np.percentile(spent, (5, 50))
+        print(f"{name:36}{median:8.2f} ms (median), {low:.2f} ms (5th percentile)")
     print_bytes(packed, native, places)
 
 

@@ -1,13 +1,13 @@
-"""Tuples (composite, background, depth, target) a core-second at equal quality, three ways, side by side in one run.
+"""Tuples (composite, background, depth, target) a core-second at equal quality, by three methods in one run.
 
 (a) Mitsuba, light by light; (b) Cycles, light by light with light groups; (c) Cycles, each lighting condition
 rendered anew with everything and without each object, with Cycles' own denoiser and without light groups, as other
 pipelines do (a mask then cuts the object out). Same scene, size and view.
 
 Quality is the PSNR of the target as shown (8 bits, tone-mapped) against a converged render of the same renderer,
-averaged over the conditions. The converged render is not denoised, so that no way's denoiser is favoured. Each way
-gets the fewest samples (8, 12, 16, 24 …, or half a step less) that reach `--quality`, or where a way does not reach it
-with `--most-spp`, what all of them reach: that is said. Seconds are user and system time of all cores. Loading and
+averaged over the conditions. The converged render is not denoised, so that no method's denoiser is favoured. Each gets
+the fewest samples (8, 12, 16, 24 …, or half a step less) that reach `--quality`, or where one does not reach it with
+`--most-spp`, what all of them reach: that is said. Seconds are user and system time of all cores. Loading and
 compiling are shared by a scene's views and told apart. (c) is linear in conditions: `--timed-conditions` of them are
 rendered, each in all its variants, and counted for all.
 
@@ -15,7 +15,7 @@ Cycles' own adaptive sampling is off: at the few thresholds tried, (c) took long
 did not get there in a studio.
 
 Choose scenes whose references converge with `--reference-spp`: with glass and enclosed lamps what noise is left in the
-reference, not the ways, decides how many decibels are reached.
+reference, not the methods, decides how many decibels are reached.
 
     python -m benchmarks.tuples --cases tabletop:7 studio:1
 """
@@ -66,7 +66,7 @@ class Options:
 
 @dataclass
 class Case:
-    """What all ways have in common."""
+    """What all methods have in common."""
 
     scene: SceneSpec
     rig: LightRig
@@ -94,8 +94,8 @@ class Case:
 
 
 @dataclass
-class Way:
-    """One way: its quality by samples a pixel, and how its cost at some samples is measured."""
+class Method:
+    """One method: its quality by samples a pixel, and how its cost at some samples is measured."""
 
     title: str
     ladder: dict[int, float]
@@ -150,7 +150,7 @@ def make_tuples(case: Case, data: ViewData) -> None:
                 np.add(thing, behind)
 
 
-def light_by_light(title: str, backend: Backend, case: Case) -> Way:
+def light_by_light(title: str, backend: Backend, case: Case) -> Method:
     """Measure (a) or (b)."""
 
     def quality(spp: int) -> float:
@@ -162,8 +162,8 @@ def light_by_light(title: str, backend: Backend, case: Case) -> Way:
         start, watch = time.process_time(), Stopwatch()
         make_tuples(case, render_view(shoot, view, watch).data)
         seconds = time.process_time() - start
-        shares = ", ".join(f"{stage} {share:.0%}" for stage, share in _shares(watch).items())
-        print(f"  {title:36}{spp:5} spp {seconds:6.1f} core-s for view {view} ({shares} of the time)", flush=True)
+        fractions = ", ".join(f"{stage} {part:.0%}" for stage, part in _fractions(watch).items())
+        print(f"  {title:36}{spp:5} spp {seconds:6.1f} core-s for view {view} ({fractions} of the time)", flush=True)
         return seconds
 
     def cost(spp: int) -> float:
@@ -177,15 +177,15 @@ def light_by_light(title: str, backend: Backend, case: Case) -> Way:
         f"  {title:36}once a scene {max(first - second, 0):.1f} core-s: loading, and compiling what no run before had"
     )
     case.converge(backend)
-    return Way(title, climb(title, case.options, quality), cost)
+    return Method(title, climb(title, case.options, quality), cost)
 
 
-def _shares(watch: Stopwatch) -> dict[str, float]:
+def _fractions(watch: Stopwatch) -> dict[str, float]:
     seconds = watch.seconds()
     return {stage: value / sum(seconds.values()) for stage, value in seconds.items()}
 
 
-def condition_by_condition(title: str, backend: OneByOne, case: Case) -> Way:
+def condition_by_condition(title: str, backend: OneByOne, case: Case) -> Method:
     """Measure (c); needs Cycles' converged layers."""
     count = min(case.options.timed_conditions, len(case.conditions))
     chosen = [case.conditions[i] for i in np.linspace(0, len(case.conditions) - 1, count).astype(int)]
@@ -207,28 +207,31 @@ def condition_by_condition(title: str, backend: OneByOne, case: Case) -> Way:
         print(f"  {title:36}{spp:5} spp {seconds:6.1f} core-s for {count} conditions, so {total:.1f} for all")
         return total
 
-    return Way(title, climb(title, case.options, quality), cost)
+    return Method(title, climb(title, case.options, quality), cost)
 
 
 def measure(case: Case, library: AssetLibrary) -> None:
-    """Print tuples a core-second of one case, three ways, and their ratios."""
+    """Print tuples a core-second of one case, by three methods, and their ratios."""
     options = case.options
     name: RendererName = "mitsuba"
     with open_backend(name, library) as mitsuba, open_backend("cycles", library) as cycles:
-        ways = [
+        methods = [
             light_by_light("(a) Mitsuba, light by light", mitsuba, case),
             light_by_light("(b) Cycles, light groups", cycles, case),
             condition_by_condition("(c) Cycles, one render a condition", OneByOne(cycles), case),
         ]
-        quality = min(options.quality, *(way.best for way in ways))
+        quality = min(options.quality, *(method.best for method in methods))
         if quality < options.quality:
             print(f"  not all reach {options.quality} dB with {options.most_spp} samples: compared at {quality:.1f} dB")
         tuples = len(case.scene.insertable) * len(case.conditions) ** 2
         rates = []
-        for way in ways:
-            spp = way.least_spp(quality)
-            rates.append(tuples / way.cost(spp))
-            print(f"  {way.title:36}{spp:5} spp {way.ladder[spp]:6.1f} dB {rates[-1]:9.2f} tuples a core-s", flush=True)
+        for method in methods:
+            spp = method.least_spp(quality)
+            rates.append(tuples / method.cost(spp))
+            print(
+                f"  {method.title:36}{spp:5} spp {method.ladder[spp]:6.1f} dB {rates[-1]:9.2f} tuples a core-s",
+                flush=True,
+            )
         a, b, c = rates
         print(f"  ratios: (a)/(b) {a / b:.1f}, (b)/(c) {b / c:.1f}, (a)/(c) {a / c:.1f}", flush=True)
 

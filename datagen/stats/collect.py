@@ -62,8 +62,8 @@ class Summary:
 
 def quantiles(values: list[Value]) -> dict[str, float]:
     """Return the 5th, 50th and 95th percentile of numbers."""
-    low, middle, high = np.percentile(np.array(values, np.float64), [5, 50, 95])
-    return {"p5": round(float(low), 5), "p50": round(float(middle), 5), "p95": round(float(high), 5)}
+    low, median, high = np.percentile(np.array(values, np.float64), [5, 50, 95])
+    return {"p5": round(float(low), 5), "p50": round(float(median), 5), "p95": round(float(high), 5)}
 
 
 def measure_dataset(root: Path, library: AssetLibrary, report: Report) -> Summary:

@@ -11,11 +11,11 @@ from scipy.sparse import csr_matrix
 from multilight.scenes.arrays import Mask
 
 ALIKE = 0.75
-"""Scenes share this part of what they are made of (Jaccard index) to count as near-duplicates."""
+"""Scenes share this fraction of what they are made of (Jaccard index) to count as near-duplicates."""
 HASH_SIZE = (33, 8)
 """Width and height [pixels] that a preview is shrunk to; each pixel but the first of a row gives one bit."""
 DIFFERENT_BITS = 0.1
-"""Previews whose hashes differ in at most this share of the bits count as near-duplicates."""
+"""Previews whose hashes differ in at most this fraction of the bits count as near-duplicates."""
 
 Bits = Mask
 
@@ -50,7 +50,7 @@ def alike_in_content(indices: Sequence[int], tokens: Sequence[frozenset[str]]) -
     jaccard = shared.data / (sizes[shared.row] + sizes[shared.col] - shared.data)
     keep = (shared.row < shared.col) & (jaccard >= ALIKE)
     found = zip(shared.row[keep], shared.col[keep], jaccard[keep], strict=True)
-    pairs = [Pair(indices[a], indices[b], "content", round(1.0 - float(share), 4)) for a, b, share in found]
+    pairs = [Pair(indices[a], indices[b], "content", round(1.0 - float(likeness), 4)) for a, b, likeness in found]
     return sorted(pairs, key=lambda pair: (pair.distance, pair.first, pair.second))
 
 

@@ -95,11 +95,11 @@ def _add_views(values: Values, scene: SceneSpec, rays: SceneRays, library: Asset
     rng = Streams(0, scene.index)("stats")
     bodies = {scene.bodies.index(body): body for body in scene.bodies if body.insertable}
     points = {number: surface_points(body, library, rng, POINTS) for number, body in bodies.items()}
-    middle = np.concatenate(list(points.values())).mean(axis=0)
+    centre = np.concatenate(list(points.values())).mean(axis=0)
     shown = dict.fromkeys(points, 0)
     for camera in scene.cameras:
         eye = camera.pose()[:3, 3]
-        away = eye - middle
+        away = eye - centre
         values["lens"].append(focal_length_mm(camera))
         values["distance"].append(float(np.linalg.norm(away)))
         values["camera_elevation"].append(float(np.degrees(np.arcsin(away[2] / np.linalg.norm(away)))))
@@ -111,7 +111,7 @@ def _add_views(values: Values, scene: SceneSpec, rays: SceneRays, library: Asset
         for number, surface in points.items():
             visible = rays.visible_share(eye, number, surface)
             values["occlusion"].append(1.0 - visible)
-            values["in_frame"].append(_extent(camera, surface))
+            values["in_frame"].append(_size_in_frame(camera, surface))
             shown[number] += in_frame(camera, surface) and visible >= SEEN
     values["shown"] += [count / len(scene.cameras) for count in shown.values()]
 
@@ -130,7 +130,7 @@ def _depth_range(camera: Camera, rays: SceneRays) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _extent(camera: Camera, points: Float64) -> float:
+def _size_in_frame(camera: Camera, points: Float64) -> float:
     """Return the longer side of the box round projected points, over the picture's shorter side."""
     pixels, _ = project(camera, points)
     seen = pixels[np.isfinite(pixels).all(axis=1)]

@@ -81,7 +81,7 @@ def _word_plot(coverage: Coverage) -> str:
 
 
 def direction_plot(azimuth: Sequence[Value], elevation: Sequence[Value]) -> tuple[str, float]:
-    """Map where lights come from, all bins of equal solid angle; also return the share of the upper half filled."""
+    """Map where lights come from, all bins of equal solid angle; also return the filled fraction of the upper half."""
     columns, rows = np.linspace(-180, 180, 25), np.linspace(-1, 1, 17)
     height = np.sin(np.radians(np.array(elevation, np.float64)))
     counts = np.histogramdd(np.stack([height, np.array(azimuth, np.float64)], axis=1), (rows, columns))[0]

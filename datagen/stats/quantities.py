@@ -32,8 +32,8 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Coverage:
-    """How values fill a quantity's bins: `filled` is the share of bins that hold any, `evenness` the entropy of the
-    shares over that of even ones (0: all in one bin, 1: all alike; C. E. Shannon 1948); values beyond the bins are
+    """How values fill a quantity's bins: `filled` is the fraction of bins that hold any, `evenness` the entropy of the
+    fractions over that of even ones (0: all in one bin, 1: all alike; C. E. Shannon 1948); values beyond the bins are
     counted into the outermost.
     """
 
@@ -64,9 +64,9 @@ QUANTITIES: tuple[Quantity, ...] = (
     Quantity("roughness", "objects", "roughness", "", _even(0, 1, 10)),
     Quantity("metallic", "objects", "metallic", "", _even(0, 1, 5)),
     Quantity("transmission", "objects", "transmission", "", _even(0, 1, 5)),
-    Quantity("occlusion", "objects", "hidden share of insertables", "", _even(0, 1, 10)),
+    Quantity("occlusion", "objects", "hidden fraction of insertables", "", _even(0, 1, 10)),
     Quantity("in_frame", "objects", "insertable's size in frame", "of the shorter side", _even(0, 1, 10)),
-    Quantity("shown", "objects", "views that show an insertable", "share", _even(0, 1, 10)),
+    Quantity("shown", "objects", "views that show an insertable", "fraction", _even(0, 1, 10)),
     Quantity("light_kind", "lights", "kind of light", words=LIGHT_KINDS),
     Quantity("elevation", "lights", "elevation", "deg", _even(-30, 90, 12)),
     Quantity("azimuth", "lights", "azimuth from the cameras' side", "deg", _even(-180, 180, 12)),
@@ -100,18 +100,18 @@ def coverage_of(quantity: Quantity, values: Sequence[Value]) -> Coverage:
         inside = np.clip(np.array(values, dtype=np.float64), edges[0], edges[-1])
         counts = tuple(int(n) for n in np.histogram(inside, edges)[0])
         labels = tuple(f"{a:.3g} to {b:.3g}" for a, b in itertools.pairwise(quantity.edges))
-    return Coverage(labels, counts, filled_share(counts), evenness(counts))
+    return Coverage(labels, counts, filled_fraction(counts), evenness(counts))
 
 
-def filled_share(counts: Sequence[int]) -> float:
-    """Return the share of bins that hold anything; 0 where there are none."""
+def filled_fraction(counts: Sequence[int]) -> float:
+    """Return the fraction of bins that hold anything; 0 where there are none."""
     return sum(count > 0 for count in counts) / len(counts) if counts else 0.0
 
 
 def evenness(counts: Sequence[int]) -> float:
-    """Return the entropy of the shares, over that of even shares; 0 where there is nothing or one bin only."""
-    shares = np.array([count for count in counts if count > 0], np.float64)
-    if len(counts) < 2 or not len(shares):
+    """Return the entropy of the fractions, over that of even ones; 0 where there is nothing or one bin only."""
+    fractions = np.array([count for count in counts if count > 0], np.float64)
+    if len(counts) < 2 or not len(fractions):
         return 0.0
-    shares /= shares.sum()
-    return max(0.0, float(-(shares * np.log(shares)).sum() / np.log(len(counts))))
+    fractions /= fractions.sum()
+    return max(0.0, float(-(fractions * np.log(fractions)).sum() / np.log(len(counts))))

@@ -172,7 +172,7 @@ def map_orders() -> dict[str, Values]:
 def fewer_scenes(scenes: Sequence[int], seed: int) -> dict[str, Values]:
     """Return trainings on 1/8, 1/4, 1/2 and all of the scenes; `seed` draws them, and each holds the smaller ones."""
     order = np.random.default_rng(seed).permutation(scenes).tolist()
-    counts = [max(1, round(len(order) * share)) for share in (1 / 8, 1 / 4, 1 / 2, 1)]
+    counts = [max(1, round(len(order) * fraction)) for fraction in (1 / 8, 1 / 4, 1 / 2, 1)]
     return {f"{count} of {len(order)} scenes": only(order[:count]) for count in counts}
 
 

@@ -17,7 +17,7 @@ from multilight.scenes.spec import Camera
 ALIKE = 0.02
 """Relative difference of proportions up to which pictures are brought to one size."""
 AGREEING = 0.6
-"""Share of a view's depth that the next view must agree with, within `TOLERANCE`."""
+"""Fraction of a view's depth that the next view must agree with, within `TOLERANCE`."""
 TOLERANCE = 0.1
 
 
@@ -99,9 +99,9 @@ def check_alignment(capture: Capture) -> None:
     if capture.z_depths is None or len(capture.cameras) < 2:
         return
     for number, camera in enumerate(capture.cameras):
-        ways = np.linalg.norm(capture.eyes - capture.eyes[number], axis=1)
-        ways[number] = np.inf
-        other = int(np.argmin(ways))
+        distances = np.linalg.norm(capture.eyes - capture.eyes[number], axis=1)
+        distances[number] = np.inf
+        other = int(np.argmin(distances))
         found = reprojection_error(
             capture.z_depths[number], camera, capture.z_depths[other], capture.cameras[other], tolerance=TOLERANCE
         )

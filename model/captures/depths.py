@@ -16,9 +16,9 @@ from multilight.scenes.spec import Camera
 LEAST_POINTS = 12
 """Sparse points that a view must see for its depth to be aligned."""
 COVERED = 0.5
-"""Share of a pixel that Gaussians must cover for it to have a depth."""
+"""Fraction of a pixel that Gaussians must cover for it to have a depth."""
 SEEN = 0.1
-"""Share of a picture's pixels, in the median view, that Gaussians of the same world cover."""
+"""Fraction of a picture's pixels, in the median view, that Gaussians of the same world cover."""
 
 
 def with_depth(capture: Capture, gaussians: Path | None, depth_model: Path | None) -> Capture:
@@ -57,10 +57,10 @@ def depth_of_gaussians(capture: Capture, path: Path) -> Float32:
         depth = np.where(covered > COVERED, weights @ np.maximum(z, 0.0) / np.maximum(covered, 1e-6), 0.0)
         depths.append(depth.reshape(camera.height, camera.width).astype(np.float32))
     stacked = np.stack(depths)
-    share = float(np.median((stacked > 0).mean(axis=(1, 2))))
-    if share < SEEN:
+    shown = float(np.median((stacked > 0).mean(axis=(1, 2))))
+    if shown < SEEN:
         raise UserError(
-            f"{path} covers {share:.0%} of the pictures of {capture.path}: Gaussians and cameras are not of one world; "
+            f"{path} covers {shown:.0%} of the pictures of {capture.path}: Gaussians and cameras are not of one world; "
             "export both from the same training, without re-centring or scaling"
         )
     return stacked

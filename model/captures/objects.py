@@ -38,8 +38,8 @@ class ObjectView:
 
     def over(self, background: Float32) -> Float32:
         """Lay it over a display-encoded background (H, W, 3), in linear light."""
-        share = self.coverage[..., None]
-        return srgb_encode(share * self.radiance + (1.0 - share) * srgb_decode(background)).astype(np.float32)
+        alpha = self.coverage[..., None]
+        return srgb_encode(alpha * self.radiance + (1.0 - alpha) * srgb_decode(background)).astype(np.float32)
 
 
 class PlacedObject:
@@ -51,8 +51,8 @@ class PlacedObject:
         starts = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
         local = asset.mesh.vertices().astype(np.float64)
         self.vertices = local @ world_from_asset[:3, :3].T + world_from_asset[:3, 3]
-        turned = np.concatenate([part.normals for part in parts]) @ world_from_asset[:3, :3].T
-        self._normals = turned / np.linalg.norm(turned, axis=1, keepdims=True)
+        normals = np.concatenate([part.normals for part in parts]) @ world_from_asset[:3, :3].T
+        self._normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
         self._uv = np.concatenate([part.uv for part in parts])
         self._faces = np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=True)])
         self._part = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts])
@@ -67,9 +67,10 @@ class PlacedObject:
         limit = np.where(scene_depth > 0, scene_depth * (1.0 + SLACK), np.inf)[window]
         forward = -camera.pose()[:3, 2]
         for row, column in SUBPIXELS if limit.size else ():
-            origins, ways = pixel_rays(camera, ((column + 0.5) / GRID, (row + 0.5) / GRID))
-            face, distance, colour = self._cast(origins[window].reshape(-1, 3), ways[window].reshape(-1, 3))
-            z = np.where(face >= 0, distance * (ways[window].reshape(-1, 3) @ forward), np.inf).reshape(limit.shape)
+            origins, directions = pixel_rays(camera, ((column + 0.5) / GRID, (row + 0.5) / GRID))
+            rays = directions[window].reshape(-1, 3)
+            face, distance, colour = self._cast(origins[window].reshape(-1, 3), rays)
+            z = np.where(face >= 0, distance * (rays @ forward), np.inf).reshape(limit.shape)
             outlined[window] |= np.isfinite(z)
             there = z < limit
             radiance[window][there] += colour.reshape(*limit.shape, 3)[there]
@@ -91,24 +92,24 @@ class PlacedObject:
         high = np.clip(np.ceil(pixels.max(axis=0)), 0, size).astype(int)
         return slice(low[1], high[1]), slice(low[0], high[0])
 
-    def _cast(self, origins: Float64, ways: Float64) -> tuple[Int64, Float64, Float64]:
+    def _cast(self, origins: Float64, directions: Float64) -> tuple[Int64, Float64, Float64]:
         """Return for each ray the face hit first (-1: none), its distance, and the radiance (N, 3) towards it."""
-        face = np.asarray(self._tracer.intersects_first(origins, ways), np.int64)
+        face = np.asarray(self._tracer.intersects_first(origins, directions), np.int64)
         distance, colour = np.full(len(face), np.inf), np.zeros((len(face), 3))
         hit = np.flatnonzero(face >= 0)
         corners = self._faces[face[hit]]
         a, b, c = (self.vertices[corners[:, i]] for i in range(3))
         flat = np.cross(b - a, c - a)
-        facing = np.sum(flat * ways[hit], axis=1)
+        facing = np.sum(flat * directions[hit], axis=1)
         distance[hit] = np.sum((a - origins[hit]) * flat, axis=1) / np.where(np.abs(facing) > 1e-30, facing, 1e-30)
-        at = origins[hit] + distance[hit][:, None] * ways[hit]
+        at = origins[hit] + distance[hit][:, None] * directions[hit]
         area = np.sum(flat * flat, axis=1)
         u = np.sum(np.cross(c - b, at - b) * flat, axis=1) / area
         v = np.sum(np.cross(a - c, at - c) * flat, axis=1) / area
         weights = np.clip(np.stack([u, v, 1.0 - u - v], axis=1), 0.0, 1.0)[..., None]
         normals = (self._normals[corners] * weights).sum(axis=1)
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-        head_on = np.abs(np.sum(normals * ways[hit], axis=1))
+        head_on = np.abs(np.sum(normals * directions[hit], axis=1))
         albedo = self._albedo(self._part[face[hit]], (self._uv[corners] * weights).sum(axis=1))
         colour[hit] = albedo * (AMBIENT + FROM_CAMERA * head_on)[:, None]
         return face, distance, colour

@@ -15,9 +15,9 @@ from multilight.model.captures.planes import find_plane, free_place, scene_centr
 from multilight.scenes.arrays import Float64
 from multilight.scenes.files.limits import parse_json, read_text
 
-SHARES = (0.2, 0.15, 0.11, 0.08, 0.06)
-"""Share of the pictures' width that the object takes at the scene's centre, unless its scale is given: the first that
-there is room for."""
+FRACTIONS = (0.2, 0.15, 0.11, 0.08, 0.06)
+"""Fractions of the pictures' width that the object takes at the scene's centre, unless its scale is given: the
+first that there is room for."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ def placed(capture: Capture, asset: Asset, wish: Wish) -> Float64:
     if wish.pose is not None:
         return _from_file(wish.pose, capture, asset, wish)
     plane = find_plane(capture, np.random.default_rng(wish.seed))
-    for scale in (wish.scale,) if wish.scale else [fitting_scale(capture, asset, share) for share in SHARES]:
+    for scale in (wish.scale,) if wish.scale else [fitting_scale(capture, asset, fraction) for fraction in FRACTIONS]:
         radius = 0.5 * float(np.hypot(*asset.size[:2])) * scale
         place, free = free_place(capture, plane, radius, scale * float(asset.size[2]))
         if free:
@@ -52,18 +52,18 @@ def placed(capture: Capture, asset: Asset, wish: Wish) -> Float64:
     return upright(place, plane.normal, wish.yaw, scale)
 
 
-def fitting_scale(capture: Capture, asset: Asset, share: float = SHARES[0]) -> float:
-    """Return the scale at which the asset takes a share of the pictures' width at the scene's centre."""
+def fitting_scale(capture: Capture, asset: Asset, fraction: float = FRACTIONS[0]) -> float:
+    """Return the scale at which the asset takes a fraction of the pictures' width at the scene's centre."""
     centre = scene_centre(capture)
     widths = [np.linalg.norm(c.pose()[:3, 3] - centre) * c.width / c.fx for c in capture.cameras]
-    return share * float(np.median(widths)) / float(asset.size.max())
+    return fraction * float(np.median(widths)) / float(asset.size.max())
 
 
 def upright(place: Float64, up: Float64, yaw: float, scale: float) -> Float64:
-    """Return the pose (4x4) of an asset that stands at `place` with its +Z along `up`, turned by `yaw` degrees."""
-    turn, _ = Rotation.align_vectors(up[None], np.array([[0.0, 0.0, 1.0]]))
+    """Return the pose (4x4) of an asset that stands at `place` with its +Z along `up`, rotated by `yaw` degrees."""
+    rotation, _ = Rotation.align_vectors(up[None], np.array([[0.0, 0.0, 1.0]]))
     pose = np.eye(4)
-    pose[:3, :3] = scale * (turn * Rotation.from_euler("z", yaw, degrees=True)).as_matrix()
+    pose[:3, :3] = scale * (rotation * Rotation.from_euler("z", yaw, degrees=True)).as_matrix()
     pose[:3, 3] = place
     return pose
 
@@ -96,7 +96,7 @@ def _from_file(path: Path, capture: Capture, asset: Asset, wish: Wish) -> Float6
 def _sound(path: Path, pose: Float64) -> Float64:
     linear = pose[:3, :3]
     scale = float(np.cbrt(np.linalg.det(linear))) if np.isfinite(pose).all() else 0.0
-    turned = scale > 0 and np.allclose(linear @ linear.T, scale**2 * np.eye(3), atol=1e-3 * scale**2)
-    if not (turned and np.allclose(pose[3], [0, 0, 0, 1])):
+    rigid = scale > 0 and np.allclose(linear @ linear.T, scale**2 * np.eye(3), atol=1e-3 * scale**2)
+    if not (rigid and np.allclose(pose[3], [0, 0, 0, 1])):
         raise UserError(f"pose {path} is not a rotation, a uniform scale and a translation: {pose.tolist()}")
     return pose

@@ -1,4 +1,4 @@
-"""Which way is up in a capture, and the plane that an object can stand on."""
+"""Which direction is up in a capture, and the plane that an object can stand on."""
 
 from dataclasses import dataclass
 
@@ -20,7 +20,7 @@ THICKNESS = 0.01
 FINEST = 0.0005
 """Roughness, over the same distance, below which no plane is measured."""
 LEAST = 0.1
-"""Share of the points about the centre that a plane must hold."""
+"""Fraction of the points about the centre that a plane must hold."""
 POINTS = 20_000
 """Points, at most, that planes are looked for in."""
 UPRIGHT = np.deg2rad(5.0)
@@ -47,7 +47,7 @@ class Plane:
 def scene_up(capture: Capture) -> Float64:
     """Return the unit direction (3,) that is up: the one to which the pictures' horizontal axes are perpendicular.
 
-    Photographers hold cameras level. Where all look the same way, their own up decides what is left open.
+    Photographers hold cameras level. Where all look in one direction, their own up decides what is left open.
     """
     poses = np.stack([camera.pose()[:3, :3] for camera in capture.cameras])
     mean = poses[:, :, 1].mean(axis=0)
@@ -60,13 +60,13 @@ def scene_up(capture: Capture) -> Float64:
 
 
 def scene_centre(capture: Capture) -> Float64:
-    """Return the point (3,) nearest to all optical axes, or, where they run together, the middle of the points."""
+    """Return the point (3,) nearest to all optical axes, or, where they run together, the median of the points."""
     forward = -np.stack([camera.pose()[:3, 2] for camera in capture.cameras])
     across = np.eye(3) - forward[:, :, None] * forward[:, None, :]
     total = across.sum(axis=0)
     if np.linalg.eigvalsh(total)[0] > 1e-2 * len(forward):
         centre = np.linalg.solve(total, (across @ capture.eyes[..., None]).sum(axis=0)[:, 0])
-        if all((centre - eye) @ way > 0 for eye, way in zip(capture.eyes, forward, strict=True)):
+        if all((centre - eye) @ direction > 0 for eye, direction in zip(capture.eyes, forward, strict=True)):
             return np.asarray(centre)
     return np.asarray(np.median(scene_points(capture), axis=0))
 
@@ -112,13 +112,13 @@ def find_plane(capture: Capture, rng: np.random.Generator) -> Plane:
         )
     inliers = near[best]
     for _ in range(5):
-        middle = inliers.mean(axis=0)
-        normal = np.linalg.svd(inliers - middle, full_matrices=False)[2][2]
-        heights = (near - middle) @ normal
-        rough = max(float(np.median(np.abs((inliers - middle) @ normal))), FINEST * distance)
+        centroid = inliers.mean(axis=0)
+        normal = np.linalg.svd(inliers - centroid, full_matrices=False)[2][2]
+        heights = (near - centroid) @ normal
+        rough = max(float(np.median(np.abs((inliers - centroid) @ normal))), FINEST * distance)
         inliers = near[np.abs(heights) < min(3.0 * rough, THICKNESS * distance)]
     normal = normal if normal @ up > 0 else -normal
-    return Plane(normal, float(normal @ middle), rough, inliers)
+    return Plane(normal, float(normal @ centroid), rough, inliers)
 
 
 def free_place(capture: Capture, plane: Plane, radius: float, height: float) -> tuple[Float64, bool]:
@@ -128,8 +128,8 @@ def free_place(capture: Capture, plane: Plane, radius: float, height: float) -> 
     """
     points, centre = scene_points(capture), scene_centre(capture)
     heights = plane.height(points)
-    in_the_way = (heights > 6.0 * plane.rough) & (heights < height)
-    flat = _flattened(plane, points[in_the_way])
+    obstacles = (heights > 6.0 * plane.rough) & (heights < height)
+    flat = _flattened(plane, points[obstacles])
     ground = _flattened(plane, plane.points)
     tried = ground[np.argsort(np.linalg.norm(ground - _flattened(plane, centre[None]), axis=1))]
     tried = tried[:: max(1, len(tried) // 2000)]

@@ -74,8 +74,8 @@ def insert_into_files(
         placement = {"world_from_asset": pose.tolist(), "asset": sources.asset, "views": list(capture.names)}
         write_text(out / "placement.json", json.dumps(placement, indent=1) + "\n")
         if frames:
-            middle = pose[:3, :3] @ [0.0, 0.0, asset.size[2] / 2] + pose[:3, 3]
-            orbit = orbit_cameras(capture.cameras, np.asarray(middle), scene_up(capture), frames)
+            centre = pose[:3, :3] @ [0.0, 0.0, asset.size[2] / 2] + pose[:3, 3]
+            orbit = orbit_cameras(capture.cameras, np.asarray(centre), scene_up(capture), frames)
             shown = (render_gaussians(camera, result.gaussians) for camera in orbit)
             with written(out / "orbit.mp4") as work:
                 write_video(work, shown, (orbit[0].width, orbit[0].height))
@@ -89,8 +89,8 @@ def _write(out: Path, capture: Capture, inserted: Inserted, result: Harmonized) 
     ):
         for name, view in zip(capture.names, views, strict=True):
             write_picture(out / folder / Path(name).with_suffix(".png"), view)
-    for name, share in zip(capture.names, inserted.coverage, strict=True):
-        write_picture(out / "masks" / Path(name).with_suffix(".png"), np.repeat(share[..., None], 3, axis=-1))
+    for name, mask in zip(capture.names, inserted.coverage, strict=True):
+        write_picture(out / "masks" / Path(name).with_suffix(".png"), np.repeat(mask[..., None], 3, axis=-1))
     with written(out / "scene.ply") as work:
         write_gaussians(work, result.gaussians)
 

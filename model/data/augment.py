@@ -19,7 +19,7 @@ SMALLEST_CROP = 0.6
 
 
 @dataclass(frozen=True)
-class Camera:
+class CameraResponse:
     """How a picture is taken.
 
     `gain` (3,) float32 multiplies linear radiance (exposure and white balance); `bend` (2, 3) float32 shapes the
@@ -32,7 +32,7 @@ class Camera:
 
 
 @dataclass(frozen=True)
-class Frame:
+class Crop:
     """Which part of a picture is kept: a square of `side` pixels with its corner at (left, top), mirrored or not."""
 
     left: int
@@ -41,18 +41,18 @@ class Frame:
     mirrored: bool = False
 
 
-PLAIN = Camera(np.ones(3, np.float32), np.zeros((2, 3), np.float32))
+PLAIN = CameraResponse(np.ones(3, np.float32), np.zeros((2, 3), np.float32))
 
 
-def draw_camera(rng: np.random.Generator) -> Camera:
+def draw_camera(rng: np.random.Generator) -> CameraResponse:
     """Draw exposure, white balance and response curve."""
     balance = rng.uniform(-WHITE_BALANCE, WHITE_BALANCE, 2)
     gain = 2.0 ** rng.uniform(-EXPOSURE, EXPOSURE) * np.exp([balance[0], 0.0, balance[1]])
     bend = rng.uniform(-RESPONSE, RESPONSE, (2, 1)) + rng.uniform(-RESPONSE_COLOUR, RESPONSE_COLOUR, (2, 3))
-    return Camera(gain.astype(np.float32), bend.astype(np.float32))
+    return CameraResponse(gain.astype(np.float32), bend.astype(np.float32))
 
 
-def respond(encoded: Tensor, camera: Camera) -> Tensor:
+def respond(encoded: Tensor, camera: CameraResponse) -> Tensor:
     """Bend display-encoded values (..., 3, h, w) in [0, 1] as the camera does, in place."""
     if not camera.bend.any():
         return encoded
@@ -62,29 +62,29 @@ def respond(encoded: Tensor, camera: Camera) -> Tensor:
     return encoded.mul_(bent)
 
 
-def centre_frame(height: int, width: int) -> Frame:
+def centre_crop(height: int, width: int) -> Crop:
     """Return the largest square about the centre."""
     side = min(height, width)
-    return Frame((width - side) // 2, (height - side) // 2, side)
+    return Crop((width - side) // 2, (height - side) // 2, side)
 
 
-def draw_frame(rng: np.random.Generator, mask: NDArray[np.floating], *, mirrored: bool) -> Frame:
-    """Draw a square crop of a picture that keeps the middle of the object, whose coverage `mask` (H, W) is."""
+def draw_crop(rng: np.random.Generator, mask: NDArray[np.floating], *, mirrored: bool) -> Crop:
+    """Draw a square crop of a picture that keeps the centre of the object, whose coverage `mask` (H, W) is."""
     height, width = mask.shape
     side = round(min(height, width) * float(rng.uniform(SMALLEST_CROP, 1.0)))
     total = float(mask.sum())
     corner = []
     for axis, length in ((1, width), (0, height)):
-        middle = float(mask.sum(axis=1 - axis) @ (np.arange(length) + 0.5)) / total if total > 0 else length / 2
-        low, high = max(0, int(np.ceil(middle - 0.9 * side))), min(length - side, int(middle - 0.1 * side))
+        centre = float(mask.sum(axis=1 - axis) @ (np.arange(length) + 0.5)) / total if total > 0 else length / 2
+        low, high = max(0, int(np.ceil(centre - 0.9 * side))), min(length - side, int(centre - 0.1 * side))
         corner.append(int(rng.integers(low, high + 1)) if low < high else min(max(low, 0), length - side))
-    return Frame(corner[0], corner[1], side, mirrored)
+    return Crop(corner[0], corner[1], side, mirrored)
 
 
-def reframe(picture: Tensor, frame: Frame) -> Tensor:
+def cropped(picture: Tensor, crop: Crop) -> Tensor:
     """Crop (C, H, W) to a frame and mirror it: (C, side, side)."""
-    cut = picture[:, frame.top : frame.top + frame.side, frame.left : frame.left + frame.side]
-    return cut.flip(-1) if frame.mirrored else cut
+    cut = picture[:, crop.top : crop.top + crop.side, crop.left : crop.left + crop.side]
+    return cut.flip(-1) if crop.mirrored else cut
 
 
 def resize(picture: Tensor, size: int, *, nearest: bool = False) -> Tensor:
@@ -100,16 +100,16 @@ def resize(picture: Tensor, size: int, *, nearest: bool = False) -> Tensor:
     return functional.interpolate(picture[None], size=(size, size), mode="bilinear", antialias=shrinks)[0]
 
 
-def reframe_camera(intrinsics: Float64, c2w: Float64, frame: Frame, size: int) -> tuple[Float32, Float32]:
-    """Return K (3, 3) and c2w (4, 4) of the reframed picture, float32.
+def cropped_camera(intrinsics: Float64, c2w: Float64, crop: Crop, size: int) -> tuple[Float32, Float32]:
+    """Return K (3, 3) and c2w (4, 4) of the cropped picture, float32.
 
     A mirrored picture is that of the world mirrored in the plane x = 0, seen by the mirrored camera: c2w' = M c2w M
     with M = diag(-1, 1, 1, 1), so that the views of a group still agree with each other.
     """
-    moved = np.array([[1.0, 0.0, -frame.left], [0.0, 1.0, -frame.top], [0.0, 0.0, 1.0]]) @ intrinsics
-    moved[:2] *= size / frame.side
+    moved = np.array([[1.0, 0.0, -crop.left], [0.0, 1.0, -crop.top], [0.0, 0.0, 1.0]]) @ intrinsics
+    moved[:2] *= size / crop.side
     pose = c2w
-    if frame.mirrored:
+    if crop.mirrored:
         moved[0, 2] = size - moved[0, 2]
         mirror = np.diag([-1.0, 1.0, 1.0, 1.0])
         pose = mirror @ c2w @ mirror

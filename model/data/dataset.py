@@ -13,12 +13,12 @@ from multilight.datagen.storage.packed import PackedView
 from multilight.datagen.storage.training_source import open_training
 from multilight.model.data.augment import (
     PLAIN,
-    Frame,
-    centre_frame,
+    Crop,
+    centre_crop,
+    cropped,
+    cropped_camera,
     draw_camera,
-    draw_frame,
-    reframe,
-    reframe_camera,
+    draw_crop,
     resize,
 )
 from multilight.model.data.lighting import lit_conditions, tints
@@ -94,7 +94,7 @@ class MultiLightDataset(Dataset[Sample]):
 class MultiLightStream(IterableDataset[Sample]):
     """The samples of a `MultiLightDataset`, scene after scene, so that remote scenes are fetched once.
 
-    The samples of an epoch are cut into equal shares, one for each rank and worker.
+    The samples of an epoch are cut into equal parts, one for each rank and worker.
     """
 
     def __init__(
@@ -114,10 +114,10 @@ class MultiLightStream(IterableDataset[Sample]):
         return len(self.samples) // self.world
 
     def __iter__(self) -> Iterator[Sample]:
-        for index in self._share():
+        for index in self._own_indices():
             yield self.samples[int(index)]
 
-    def _share(self) -> np.ndarray:
+    def _own_indices(self) -> np.ndarray:
         """Return the indices of this rank's and worker's samples, scene after scene."""
         plan, epoch = self.samples.plan, self.samples.epoch
         scenes = np.array([plan.places[plan.place(epoch, i)].scene for i in range(len(self.samples))])
@@ -139,10 +139,10 @@ def make_samples(views: list[PackedView], draw: Draw, settings: SampleSettings) 
     result = []
     for view in views:
         pictures = mix_tuple(view, draw.place.object, insert=insert, base=base, camera=camera)
-        frame = centre_frame(*view.z_depth.shape)
+        crop = centre_crop(*view.z_depth.shape)
         if settings.augment:
-            frame = draw_frame(rng, pictures.mask[0].numpy(), mirrored=mirrored)
-        result.append(framed_sample(view, pictures, frame, settings.size))
+            crop = draw_crop(rng, pictures.mask[0].numpy(), mirrored=mirrored)
+        result.append(cropped_sample(view, pictures, crop, settings.size))
     largest = max(float(sample["z_depth"].max()) for sample in result)
     for sample in result:
         nothing = (sample["z_depth"] <= 0).float()
@@ -150,20 +150,20 @@ def make_samples(views: list[PackedView], draw: Draw, settings: SampleSettings) 
     return result
 
 
-def framed_sample(view: PackedView, pictures: Pictures, frame: Frame, size: int) -> dict[str, Tensor]:
+def cropped_sample(view: PackedView, pictures: Pictures, crop: Crop, size: int) -> dict[str, Tensor]:
     """Crop and resize what was mixed; the sample lacks only `depth`, which is relative to the group's largest."""
-    framed = [reframe(picture, frame) for picture in vars(pictures).values()]
-    if frame.side != size:  # all in one go, which is cheaper
-        framed = list(resize(torch.cat(framed), size).clamp_(0.0, 1.0).split((3, 3, 3, 1)))
-    composite, background, target, mask = framed
-    intrinsics, c2w = reframe_camera(view.K, view.c2w, frame, size)
+    parts = [cropped(picture, crop) for picture in vars(pictures).values()]
+    if crop.side != size:  # all in one go, which is cheaper
+        parts = list(resize(torch.cat(parts), size).clamp_(0.0, 1.0).split((3, 3, 3, 1)))
+    composite, background, target, mask = parts
+    intrinsics, c2w = cropped_camera(view.K, view.c2w, crop, size)
     return {
         "composite": composite,
         "background": background,
         "target": target,
         "effect": target - background,
         "mask": mask,
-        "z_depth": resize(reframe(torch.from_numpy(view.z_depth)[None], frame), size, nearest=True),
+        "z_depth": resize(cropped(torch.from_numpy(view.z_depth)[None], crop), size, nearest=True),
         "K": torch.from_numpy(intrinsics),
         "c2w": torch.from_numpy(c2w),
     }

@@ -13,9 +13,9 @@ from multilight.scenes.arrays import Float32
 from multilight.scenes.colour import luminance
 
 ONE, TWO = 0.2, 0.15
-"""Share of conditions with a single light, and with two; in the others each is on with a chance of three in four."""
+"""Probability of a single light, and of two; in all other conditions each is on with a probability of three in four."""
 DARKEST = 1e-3
-"""A condition whose mean is below this share of all lights' together would show noise."""
+"""A condition whose mean is below this fraction of all lights' together would show noise."""
 STEP = 8  # every eighth pixel of every eighth row is metered
 
 
@@ -35,10 +35,10 @@ def draw_gains(rng: np.random.Generator, lights: int) -> Float32:
 
     Gains and colours are distributed as in `lights.conditions`, with more conditions of one and two lights.
     """
-    chance = rng.random()
-    if chance < ONE + TWO:
+    drawn = rng.random()
+    if drawn < ONE + TWO:
         lit = np.zeros(lights, bool)
-        lit[rng.permutation(lights)[: 1 if chance < ONE else 2]] = True
+        lit[rng.permutation(lights)[: 1 if drawn < ONE else 2]] = True
     else:
         lit = rng.random(lights) < 0.75
         lit[int(rng.integers(lights))] = True

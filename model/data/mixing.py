@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from multilight.datagen.storage.packed import SAME, TILE, PackedView
-from multilight.model.data.augment import Camera, respond
+from multilight.model.data.augment import CameraResponse, respond
 from multilight.scenes.arrays import Float32, Int64
 from multilight.scenes.colour import srgb_encode
 
@@ -28,7 +28,7 @@ SHOULDER, FADE = 0.6, 0.15  # as in `lights.display.tonemap.tone_curve`
 STEPS = 1 << 14  # of the square root of radiance, in the table of display values
 
 
-def mix_tuple(view: PackedView, name: str, *, insert: Float32, base: Float32, camera: Camera) -> Pictures:
+def mix_tuple(view: PackedView, name: str, *, insert: Float32, base: Float32, camera: CameraResponse) -> Pictures:
     """Mix the tuple of object `name`; `insert` and `base` are (L, 3) linear gains.
 
     As `datagen.tuples.compose` does, but the background is worked out only in tiles where it differs from the target,
@@ -53,7 +53,7 @@ def mix_tuple(view: PackedView, name: str, *, insert: Float32, base: Float32, ca
     return Pictures(*(_joined(tiles, view.z_depth.shape) for tiles in (composite, background, shown, mask)))
 
 
-def develop(radiance: Tensor, camera: Camera) -> Tensor:
+def develop(radiance: Tensor, camera: CameraResponse) -> Tensor:
     """Turn linear radiance (..., 3, h, w) into display values in [0, 1]: tone, sRGB and response curve.
 
     The curves are `lights.display.tonemap.tone_curve`, without branches (at the shoulder it is the identity), and

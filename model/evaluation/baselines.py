@@ -41,7 +41,7 @@ def match_histograms(composite: Float32, background: Float32, mask: Float32) -> 
     """Give the object the surroundings' histogram in each of R, G and B.
 
     Histogram specification: R. C. Gonzalez and R. E. Woods, Digital Image Processing, section 3.3. Equal values stay
-    equal: each takes the middle of the share of pixels that has it.
+    equal: each takes the midpoint of its quantiles.
     """
     inside, outside = _pixels(mask)
     if not (inside.any() and outside.any()):
@@ -49,10 +49,10 @@ def match_histograms(composite: Float32, background: Float32, mask: Float32) -> 
     matched = composite.astype(np.float64)
     for channel in range(3):
         _, place, counts = np.unique(composite[inside, channel], return_inverse=True, return_counts=True)
-        share = (np.cumsum(counts) - 0.5 * counts) / counts.sum()
+        quantiles = (np.cumsum(counts) - 0.5 * counts) / counts.sum()
         wanted = np.sort(background[outside, channel])
         levels = (np.arange(len(wanted)) + 0.5) / len(wanted)
-        matched[inside, channel] = np.interp(share, levels, wanted)[place]
+        matched[inside, channel] = np.interp(quantiles, levels, wanted)[place]
     return _over(matched, composite, inside.astype(np.float32))
 
 
@@ -127,8 +127,8 @@ def _pixels(mask: Float32) -> tuple[Mask, Mask]:
 
 
 def _over(changed: NDArray[np.floating], composite: Float32, mask: Float32) -> Float32:
-    share = mask[..., None]
-    return np.clip(composite + share * (changed - composite), 0.0, 1.0).astype(np.float32)
+    alpha = mask[..., None]
+    return np.clip(composite + alpha * (changed - composite), 0.0, 1.0).astype(np.float32)
 
 
 def _neighbours() -> list[tuple[tuple[slice, slice], tuple[slice, slice]]]:

@@ -152,23 +152,23 @@ def _group(
         )
         cameras.append(camera_of(arrays["K"], arrays["c2w"], arrays["mask"].shape[1:]))
         depths.append(arrays["z_depth"][0])
-    subsets = subsets_of(record, draw.place.object, light_shares(views, base))
+    subsets = subsets_of(record, draw.place.object, light_fractions(views, base))
     return Group(tuple(cases), (split, *subsets), tuple(cameras), tuple(depths))
 
 
-def subsets_of(record: SceneRecord, name: str, shares: dict[str, float]) -> tuple[str, ...]:
+def subsets_of(record: SceneRecord, name: str, fractions: dict[str, float]) -> tuple[str, ...]:
     """Name the subsets that an object counts in: its kind of scene, and what is hard about it.
 
-    `shares` is each light's share of the pictures' light. "hard shadow": most of it comes from one light of a small
+    `fractions` is each light's part of the pictures' light. "hard shadow": most of it comes from one light of a small
     angular diameter; "emissive": the object glows; "mirror": it, or something of the setting, is a mirror.
     """
     body = record.scene.body(name)
     place = np.array(body.world_from_body)[:3, 3]
-    lit = [(light, shares[light.name]) for light in record.rig.lights]
+    lit = [(light, fractions[light.name]) for light in record.rig.lights]
     found = [f"kind: {record.scene.kind}"]
-    if any(isinstance(light, EmissiveLight) and light.body == name and share > 0 for light, share in lit):
+    if any(isinstance(light, EmissiveLight) and light.body == name and fraction > 0 for light, fraction in lit):
         found.append("emissive")
-    sizes = [angular_diameter(light, place) for light, share in lit if share >= DOMINANT]
+    sizes = [angular_diameter(light, place) for light, fraction in lit if fraction >= DOMINANT]
     if any(size is not None and size < HARD for size in sizes):
         found.append("hard shadow")
     if any(material_class(m) == "mirror" for m in body.materials) or any(map(is_mirror, record.scene.bodies)):
@@ -176,8 +176,8 @@ def subsets_of(record: SceneRecord, name: str, shares: dict[str, float]) -> tupl
     return tuple(found)
 
 
-def light_shares(views: list[PackedView], gains: Float32) -> dict[str, float]:
-    """Return the share of the views' mean luminance that comes from each light under gains (L, 3)."""
+def light_fractions(views: list[PackedView], gains: Float32) -> dict[str, float]:
+    """Return the fraction of the views' mean luminance that comes from each light under gains (L, 3)."""
     layers = [view.variant("all").mean(axis=(1, 2), dtype=np.float64) for view in views]
     found = luminance(np.mean(layers, axis=0) * gains)
     return dict(zip(views[0].lights, (found / max(found.sum(), 1e-12)).tolist(), strict=True))

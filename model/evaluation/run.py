@@ -20,7 +20,7 @@ from multilight.model.inference.harmonize import Harmonizer
 from multilight.scenes.arrays import Float32
 
 Method = Callable[[Case], Float32]
-"""A way to harmonize a case: its picture, (H, W, 3) float32 in [0, 1]."""
+"""Harmonizes a case: its picture, (H, W, 3) float32 in [0, 1]."""
 
 WORST = 10
 EXAMPLES = 12
@@ -135,7 +135,7 @@ def _judge(
     outputs: dict[str, Float32] = {}
     seconds: dict[str, float] = {}
     for name, method in methods.items():
-        with watched_memory() as memory:
+        with peak_memory() as memory:
             start = time.perf_counter()
             outputs[name] = method(case)
             seconds[name] = time.perf_counter() - start
@@ -206,7 +206,7 @@ class Memory:
 
 
 @contextmanager
-def watched_memory() -> Iterator[Memory]:
+def peak_memory() -> Iterator[Memory]:
     """Measure the peak of memory: the GPU's, else resident pages, looked at every two milliseconds."""
     memory = Memory()
     if torch.cuda.is_available():
@@ -217,18 +217,18 @@ def watched_memory() -> Iterator[Memory]:
         return
     start, done = _resident(), threading.Event()
 
-    def watch() -> None:
+    def look() -> None:
         while not done.wait(0.002):
             memory.megabytes = max(memory.megabytes, (_resident() - start) / 1e6)
 
-    watcher = threading.Thread(target=watch, daemon=True)
-    watcher.start()
+    thread = threading.Thread(target=look, daemon=True)
+    thread.start()
     try:
         yield memory
     finally:
         memory.megabytes = max(memory.megabytes, (_resident() - start) / 1e6)
         done.set()
-        watcher.join()
+        thread.join()
 
 
 def _resident() -> int:

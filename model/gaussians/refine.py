@@ -11,6 +11,7 @@ Shape letters: V views, H W pixels, N Gaussians, M of them seen, P pairs of one 
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 import torch
@@ -28,12 +29,12 @@ RATES = {"quats": 1e-3, "logs": 5e-3, "logits": 5e-2, "colors": 1e-3}
 """Adam's rates. Colours start as the views' mean, so they need less than the published 2.5e-3."""
 RENEW = 50
 """Iterations after which a view's list of pairs is made anew."""
-HAIR = 1e-6  # the logit of 1 is infinite
+LOGIT_MARGIN = 1e-6  # the logit of 1 is infinite
 SMALLEST = 1e-7  # metres; the logarithm of 0 is infinite
 
 
 @dataclass(frozen=True)
-class Free:
+class Parameters:
     """Gaussians as numbers without bounds: means (N, 3), quats (N, 4) wxyz of any length, logarithms of the scales
     (N, 3), logits of the opacities (N,), colors (N, 3).
     """
@@ -44,15 +45,15 @@ class Free:
     logits: Tensor
     colors: Tensor
 
-    @staticmethod
-    def of(gaussians: Gaussians, device: torch.device | str = "cpu", dtype: torch.dtype = torch.float32) -> "Free":
+    @classmethod
+    def of(cls, gaussians: Gaussians, device: torch.device | str = "cpu", dtype: torch.dtype = torch.float32) -> Self:
         """Take Gaussians' numbers; opacities are held within 1e-6 of 0 and 1."""
         means, quats, scales, opacities, colors = (
             torch.tensor(each, dtype=torch.float64)
             for each in (gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.colors)
         )
-        made = (means, quats, scales.clamp(min=SMALLEST).log(), torch.logit(opacities, eps=HAIR), colors)
-        return Free(*(each.to(device, dtype) for each in made))
+        made = (means, quats, scales.clamp(min=SMALLEST).log(), torch.logit(opacities, eps=LOGIT_MARGIN), colors)
+        return cls(*(each.to(device, dtype) for each in made))
 
     def gaussians(self) -> Gaussians:
         """Return the Gaussians, float32."""
@@ -78,14 +79,14 @@ class Pairs:
     pixels: Tensor = field(repr=False)
     first: Tensor = field(repr=False)
 
-    @staticmethod
-    def of(camera: Camera, gaussians: Gaussians, device: torch.device | str = "cpu") -> "Pairs":
+    @classmethod
+    def of(cls, camera: Camera, gaussians: Gaussians, device: torch.device | str = "cpu") -> Self:
         """List the pairs whose weight counts."""
         found, pixels, _ = blended_pairs(camera, gaussians)
         numbers, places = np.unique(found, return_inverse=True)
         starts = np.flatnonzero(np.diff(pixels, prepend=-1))
         first = np.repeat(starts, np.diff(np.append(starts, len(pixels))))
-        return Pairs(*(torch.from_numpy(each.astype(np.int64)).to(device) for each in (numbers, places, pixels, first)))
+        return cls(*(torch.from_numpy(each.astype(np.int64)).to(device) for each in (numbers, places, pixels, first)))
 
 
 def refined_scene(
@@ -128,32 +129,32 @@ def refine(
         raise ValueError(f"cameras of {size}, pictures of shape {pictures.shape} and `seen` of shape {seen.shape}")
     truth = np.concatenate((pictures, np.ones_like(pictures[..., :1])), axis=-1) * seen[..., None]
     truths = torch.from_numpy(truth.astype(np.float32)).to(device)
-    free = Free.of(gaussians, device)
-    leaves = [{"params": [getattr(free, name).requires_grad_()], "lr": rate} for name, rate in RATES.items()]
+    parameters = Parameters.of(gaussians, device)
+    leaves = [{"params": [getattr(parameters, name).requires_grad_()], "lr": rate} for name, rate in RATES.items()]
     # Adam's own 1e-8 would drown the gradients of Gaussians of a pixel's size: their loss is a mean over all pixels.
     optimizer = torch.optim.Adam(leaves, eps=1e-15)
     listed: dict[int, tuple[int, Pairs]] = {}
     for step, view in enumerate(_visits(len(cameras), steps, seed)):
         if view not in listed or step - listed[view][0] >= RENEW:
-            listed[view] = step, Pairs.of(cameras[view], free.gaussians(), device)
-        loss = (render(cameras[view], free, listed[view][1]) - truths[view]).abs().mean()
+            listed[view] = step, Pairs.of(cameras[view], parameters.gaussians(), device)
+        loss = (render(cameras[view], parameters, listed[view][1]) - truths[view]).abs().mean()
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
-    return free.gaussians()
+    return parameters.gaussians()
 
 
 def _visits(views: int, steps: int, seed: int) -> list[int]:
-    """Say which view each iteration takes: all in turn, each turn in an order of its own."""
+    """Say which view each iteration takes: all of them in every round, each round in an order of its own."""
     rng = np.random.default_rng(seed)
-    turns = [rng.permutation(views) for _ in range(-(-steps // views))]
-    return np.concatenate([np.empty(0, np.int64), *turns])[:steps].tolist()
+    rounds = [rng.permutation(views) for _ in range(-(-steps // views))]
+    return np.concatenate([np.empty(0, np.int64), *rounds])[:steps].tolist()
 
 
-def render(camera: Camera, free: Free, pairs: Pairs) -> Tensor:
-    """Splat over black as `scenes.gaussians.splatting` does, differentiably: colours and covered share, (H, W, 4)."""
-    centres, inverses = _footprints(camera, free, pairs.numbers)
-    opacities = free.logits[pairs.numbers, None].sigmoid()
+def render(camera: Camera, parameters: Parameters, pairs: Pairs) -> Tensor:
+    """Splat over black as `scenes.gaussians.splatting` does, differentiably: colours and coverage, (H, W, 4)."""
+    centres, inverses = _footprints(camera, parameters, pairs.numbers)
+    opacities = parameters.logits[pairs.numbers, None].sigmoid()
     x, y, xx, xy, yy, opacity = torch.cat((centres, inverses, opacities), dim=1)[pairs.places].unbind(1)
     dx = (pairs.pixels % camera.width).to(x.dtype) + 0.5 - x
     dy = (pairs.pixels // camera.width).to(y.dtype) + 0.5 - y
@@ -162,36 +163,36 @@ def render(camera: Camera, free: Free, pairs: Pairs) -> Tensor:
     logs = torch.log1p(-alphas).double()
     before = logs.cumsum(0) - logs
     weights = alphas * torch.exp(before - before[pairs.first]).to(alphas.dtype)
-    colors = torch.cat((free.colors, torch.ones_like(free.colors[:, :1])), dim=1)[pairs.numbers]
+    colors = torch.cat((parameters.colors, torch.ones_like(parameters.colors[:, :1])), dim=1)[pairs.numbers]
     flat = torch.zeros(camera.height * camera.width, 4, dtype=weights.dtype, device=weights.device)
     return flat.index_add(0, pairs.pixels, weights[:, None] * colors[pairs.places]).reshape(
         camera.height, camera.width, 4
     )
 
 
-def _footprints(camera: Camera, free: Free, numbers: Tensor) -> tuple[Tensor, Tensor]:
+def _footprints(camera: Camera, parameters: Parameters, numbers: Tensor) -> tuple[Tensor, Tensor]:
     """Project: centres (M, 2) in pixels and inverse covariances (M, 3) (xx, xy, yy), low-pass included."""
     # Camera axes as pixels run: x to the right, y down, z ahead.
     pose = opencv_from_opengl(camera.pose())
-    axes, eye = free.means.new_tensor(pose[:3, :3]), free.means.new_tensor(pose[:3, 3])
-    focal = free.means.new_tensor((camera.fx, camera.fy))
-    middle = free.means.new_tensor((camera.cx, camera.cy))
-    size = free.means.new_tensor((camera.width, camera.height))
-    points = (free.means[numbers] - eye) @ axes
+    axes, eye = parameters.means.new_tensor(pose[:3, :3]), parameters.means.new_tensor(pose[:3, 3])
+    focal = parameters.means.new_tensor((camera.fx, camera.fy))
+    principal = parameters.means.new_tensor((camera.cx, camera.cy))
+    size = parameters.means.new_tensor((camera.width, camera.height))
+    points = (parameters.means[numbers] - eye) @ axes
     depths = points[:, 2:]
     slopes = points[:, :2] / depths
-    spread = axes.T @ _rotations(free.quats[numbers]) * free.logs[numbers].exp()[:, None, :]
+    spread = axes.T @ _rotations(parameters.quats[numbers]) * parameters.logs[numbers].exp()[:, None, :]
     limit = 1.3 * 0.5 * size / focal
     held = slopes.clamp(-limit, limit)
     u, v = ((spread[:, :2] - held[:, :, None] * spread[:, 2:]) * (focal / depths)[:, :, None]).unbind(1)
     xx, xy, yy = ((a * b).sum(1) for a, b in ((u, u), (u, v), (v, v)))
     xx, yy = xx + LOW_PASS, yy + LOW_PASS
     determinant = (xx * yy - xy**2).clamp(min=1e-12)
-    return slopes * focal + middle, torch.stack((yy, -xy, xx), dim=1) / determinant[:, None]
+    return slopes * focal + principal, torch.stack((yy, -xy, xx), dim=1) / determinant[:, None]
 
 
 def _rotations(quats: Tensor) -> Tensor:
-    """Turn quaternions (M, 4) wxyz of any length into matrices (M, 3, 3)."""
+    """Convert quaternions (M, 4) wxyz of any length to rotation matrices (M, 3, 3)."""
     w, x, y, z = functional.normalize(quats, dim=1).unbind(1)
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),

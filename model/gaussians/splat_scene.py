@@ -81,7 +81,7 @@ class SplatScene:
     def smooth(self, images: Tensor) -> Tensor:
         """Show each view at the resolution of its Gaussians: carried there from this view alone, and rendered.
 
-        (V, C, H, W) → (V, C, H, W), divided by the covered share.
+        (V, C, H, W) → (V, C, H, W), divided by the coverage.
         """
         values = _flat(images)  # (V * P, C)
         pixels = self.height * self.width
@@ -100,7 +100,7 @@ class SplatScene:
         return shown.reshape(self.views, self.height, self.width, -1).permute(0, 3, 1, 2)
 
     def covered(self) -> Tensor:
-        """Return the share of each pixel that Gaussians cover, (V, 1, H, W)."""
+        """Return the fraction of each pixel that Gaussians cover, (V, 1, H, W)."""
         return self.render(torch.ones(self.matrix.shape[1], 1, device=self.matrix.device))
 
     def to_map(self, colors: Tensor) -> Tensor:

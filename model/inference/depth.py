@@ -19,7 +19,7 @@ PATCH = 14
 SHORT_SIDE = 518
 """Shorter side at which Depth Anything V2 works."""
 FARTHEST = 0.02
-"""Relative inverse depths below this share of the largest count as infinitely far."""
+"""Relative inverse depths below this fraction of the largest count as infinitely far."""
 _MEAN = np.array([0.485, 0.456, 0.406], np.float32)
 _SPREAD = np.array([0.229, 0.224, 0.225], np.float32)
 

@@ -132,9 +132,9 @@ def _from_tiles(network: Compositing2D, pictures: list[Tensor], mask: Tensor | N
         for left in _starts(width):
             window = (..., slice(top, top + WHOLE), slice(left, left + WHOLE))
             tile = [picture[window] for picture in pictures]
-            share = _fade(tile[0].shape[-2:]).to(total)
-            total[window] += share * network(*tile, mask[window])
-            weight[window] += share
+            fade = _fade(tile[0].shape[-2:]).to(total)
+            total[window] += fade * network(*tile, mask[window])
+            weight[window] += fade
     return total / weight
 
 

@@ -27,7 +27,7 @@ def opened(path: Path) -> Image.Image:
 
 
 def read_picture(path: Path) -> Float32:
-    """Read a display-encoded picture, turned upright as its camera noted: (H, W, 3) float32 in [0, 1]."""
+    """Read a display-encoded picture, rotated upright as its camera noted: (H, W, 3) float32 in [0, 1]."""
     return np.asarray(ImageOps.exif_transpose(opened(path)).convert("RGB"), np.float32) / 255.0
 
 

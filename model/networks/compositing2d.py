@@ -21,7 +21,7 @@ from multilight.model.configs.stage2d import NetworkConfig
 from multilight.model.networks.input_features import largest_near, linear_to_srgb, relief, soft_mask, srgb_to_linear
 
 LARGEST_LOG_GAIN = 4.0
-GLANCE = 64  # pixels a side at which a picture's statistics are taken
+STATISTICS_SIDE = 64  # pixels a side at which a picture's statistics are taken
 NEAR = 15  # of them: the object's neighbourhood is what a square of that side reaches
 DARK = 0.02  # linear light added before logarithms are taken
 STATISTICS = 25
@@ -146,7 +146,7 @@ class Block(nn.Module):
 
 
 class Group(nn.Module):
-    """Blocks with plain and shifted windows in turn, then a dilated convolution, all beside a shortcut."""
+    """Blocks with plain and shifted windows alternately, then a dilated convolution, all beside a shortcut."""
 
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__()
@@ -216,10 +216,11 @@ def statistics(composite: Tensor, background: Tensor, mask: Tensor) -> Tensor:
     """Describe how the object and its surroundings are lit: (B, 25), whatever the size of the pictures.
 
     Means and standard deviations of the logarithm of linear RGB: of the object in the composite; of the background
-    round it, behind it and everywhere; and the logarithm of the object's share of the picture.
+    round it, behind it and everywhere; and the logarithm of the object's fraction of the picture.
     """
     composite, background, mask = (
-        functional.adaptive_avg_pool2d(x, GLANCE) for x in (srgb_to_linear(composite), srgb_to_linear(background), mask)
+        functional.adaptive_avg_pool2d(x, STATISTICS_SIDE)
+        for x in (srgb_to_linear(composite), srgb_to_linear(background), mask)
     )
     found = [mask.mean((2, 3)).clamp(min=1e-4).log()]
     surely = (mask > 0.0).to(mask.dtype)

@@ -22,7 +22,7 @@ from multilight.scenes.arrays import Float32
 FLOOR = 0.02  # linear light added to both sides of a ratio: below it, detail is noise
 LARGEST_RATIO = 3.0
 UNTOUCHED, TOUCHED = 0.5 / 255.0, 2.0 / 255.0
-"""Display-encoded change by the 2D stage that is none, and that is one: in between, a share is."""
+"""Display-encoded change by the 2D stage that is none, and that is one: in between, a fraction is."""
 
 
 class Compositing3D(nn.Module):
@@ -78,8 +78,8 @@ def harmonize_scene(
     """
     carry = scene.carry if network.config.carry == "average" else scene.gather
     colors = network.colors(scene, carry(composites), carry(harmonized))
-    share = touched(scene, harmonized, backgrounds)
-    return colors, torch.lerp(harmonized, detailed(scene, colors, harmonized), share)
+    changed = touched(scene, harmonized, backgrounds)
+    return colors, torch.lerp(harmonized, detailed(scene, colors, harmonized), changed)
 
 
 @torch.inference_mode()

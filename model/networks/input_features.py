@@ -24,15 +24,15 @@ def linear_to_srgb(linear: Tensor) -> Tensor:
 def soft_mask(composite: Tensor, background: Tensor) -> Tensor:
     """Estimate where the object is from what differs: (B, 3, H, W) display-encoded twice → (B, 1, H, W) in [0, 1].
 
-    Holes, where the object happens to look like the background, are closed; on the rim, the share is the difference
-    relative to the largest next to it, which is the coverage where both colours are smooth.
+    Holes, where the object happens to look like the background, are closed; on the rim, the coverage is the difference
+    relative to the largest next to it, which is right where both colours are smooth.
     """
     difference = (composite - background).abs().amax(dim=1, keepdim=True)
     surely = (difference / SEEN).clamp(max=1.0)
     closed = -largest_near(-largest_near(surely, HOLE), HOLE)
     inside = -largest_near(-closed, 3)
-    share = difference / largest_near(difference, 3).clamp(min=SEEN)
-    return torch.where(inside >= 1.0, closed, closed * share)
+    coverage = difference / largest_near(difference, 3).clamp(min=SEEN)
+    return torch.where(inside >= 1.0, closed, closed * coverage)
 
 
 def largest_near(x: Tensor, size: int) -> Tensor:

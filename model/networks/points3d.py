@@ -60,7 +60,7 @@ class PointTransformer(nn.Module):
         centres = places.mean(dim=1)
         offsets = (places - centres[:, None]) * len(groups) ** 0.5  # on a surface a token is about that much smaller
         members = torch.cat((composite[groups], carried[groups], offsets), dim=-1)
-        x = self.embed(members.flatten(1)) + self.place(waves(centres))  # (T, C)
+        x = self.embed(members.flatten(1)) + self.place(positional_encoding(centres))  # (T, C)
         change = self.head(self.norm(self.layers(x[None])[0])).reshape(-1, 3)
         image = carried.index_add(0, groups.flatten(), change)
         return image if self.training else image.clamp(0.0, 1.0)
@@ -92,7 +92,7 @@ def in_box(means: Tensor) -> Tensor:
     return (means - low) / (means.amax(dim=0) - low).max().clamp(min=1e-6)
 
 
-def waves(places: Tensor) -> Tensor:
+def positional_encoding(places: Tensor) -> Tensor:
     """Encode places (T, 3) in [0, 1] as sines and cosines: (T, 6 * OCTAVES)."""
     frequencies = torch.pi * 2.0 ** torch.arange(OCTAVES, device=places.device)
     angles = (places[..., None] * frequencies).flatten(1)

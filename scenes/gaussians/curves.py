@@ -20,7 +20,7 @@ def hilbert_index(cells: ArrayLike, bits: int) -> Int64:
     axes = list(_checked_cells(cells, bits).T.copy())
     for bit in range(bits - 1, 0, -1):
         for i in range(len(axes)):
-            _turn(axes, i, bit)
+            _rotate(axes, i, bit)
     for i in range(1, len(axes)):
         axes[i] ^= axes[i - 1]
     flips = np.zeros_like(axes[0])
@@ -45,7 +45,7 @@ def hilbert_cells(index: ArrayLike, bits: int, dimensions: int) -> Int64:
     axes[0] ^= flips
     for bit in range(1, bits):
         for i in range(dimensions - 1, -1, -1):
-            _turn(axes, i, bit)
+            _rotate(axes, i, bit)
     return np.stack(axes, axis=-1)
 
 
@@ -89,8 +89,8 @@ def fold(side: int) -> Int64:
     return np.ascontiguousarray(hilbert_cells(np.arange(side * side), bits, 2)[:, ::-1])
 
 
-def _turn(axes: list[Int64], i: int, bit: int) -> None:
-    """Undo or do one level's turn of the curve, in place: mirror axis 0 below `bit`, or swap it with axis i there."""
+def _rotate(axes: list[Int64], i: int, bit: int) -> None:
+    """Do or undo one level's rotation of the curve, in place: below `bit`, mirror axis 0 or swap it with axis i."""
     below = (1 << bit) - 1
     mirrored = -((axes[i] >> bit) & 1)  # all ones where the bit is set, else zero
     swapped = (axes[0] ^ axes[i]) & below & ~mirrored

@@ -128,7 +128,7 @@ def gaussians_from_views(
 
 
 def normals_from_depth(camera: Camera, z_depth: ArrayLike) -> Float64:
-    """Find surface normals (H, W, 3) from z_depth (H, W), unit, world, turned towards the camera.
+    """Find surface normals (H, W, 3) from z_depth (H, W), unit, world, facing the camera.
 
     Of the two neighbours along each image axis the one at the more similar depth counts, so that outlines do not
     bend the normals beside them. Where there is nothing, or no neighbour, the normal faces the camera.

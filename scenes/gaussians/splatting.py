@@ -48,7 +48,7 @@ class Footprints:
 def blending_weights(camera: Camera, gaussians: Gaussians) -> csr_matrix:
     """Return what each of N Gaussians adds to each of H x W pixels, row-major: sparse (H * W, N) float32.
 
-    Rows sum to the covered share of a pixel, in [0, 1].
+    Rows sum to the covered fraction of a pixel, in [0, 1].
     """
     numbers, pixels, weights = blended_pairs(camera, gaussians)
     return csr_matrix(

@@ -16,7 +16,7 @@ from multilight.datagen.stats.duplicates import alike_in_content, alike_in_pictu
 from multilight.datagen.stats.facts import SceneFacts, scene_facts
 from multilight.datagen.stats.pictures import colourfulness, dynamic_range
 from multilight.datagen.stats.plots import bar_plot, direction_plot
-from multilight.datagen.stats.quantities import QUANTITIES, Coverage, coverage_of, evenness, filled_share
+from multilight.datagen.stats.quantities import QUANTITIES, Coverage, coverage_of, evenness, filled_fraction
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.store import read_scene, scene_dir
 from multilight.lights.spec import LightRig, SunLight
@@ -43,8 +43,8 @@ def test_known_counts_have_known_coverage() -> None:
     assert evenness([7, 0, 0]) == 0.0
     # Two of four bins, alike: ln 2 / ln 4.
     assert evenness([3, 3, 0, 0]) == pytest.approx(0.5)
-    assert filled_share([3, 3, 0, 0]) == 0.5
-    assert evenness([]) == filled_share([]) == 0.0
+    assert filled_fraction([3, 3, 0, 0]) == 0.5
+    assert evenness([]) == filled_fraction([]) == 0.0
 
 
 @given(values=st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=50))

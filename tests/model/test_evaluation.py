@@ -17,10 +17,10 @@ from multilight.lights.display.tonemap import tone_curve
 from multilight.lights.spec import AreaLight, EmissiveLight, LightRig, PointLight, SunLight
 from multilight.model.cli import COMMANDS
 from multilight.model.configs.stage2d import NetworkConfig
-from multilight.model.evaluation.cases import CaseSettings, Group, dataset_groups, light_shares, subsets_of
+from multilight.model.evaluation.cases import CaseSettings, Group, dataset_groups, light_fractions, subsets_of
 from multilight.model.evaluation.consistency import disagreement, sample, shared_pairs, shared_pixels
 from multilight.model.evaluation.page import Table
-from multilight.model.evaluation.run import evaluate, methods_of, watched_memory
+from multilight.model.evaluation.run import evaluate, methods_of, peak_memory
 from multilight.model.networks.checkpoint import save_network
 from multilight.model.networks.compositing2d import Compositing2D
 from multilight.scenes.cameras.pinhole import camera_from_fov, look_at, project, unproject
@@ -66,7 +66,7 @@ def test_a_split_without_scenes_is_told(spheres_dataset: Path) -> None:
         dataset_groups(spheres_dataset, CaseSettings(splits=("test_ood",)))
 
 
-def test_light_shares_are_those_of_the_target(spheres_dataset: Path) -> None:
+def test_light_fractions_are_those_of_the_target(spheres_dataset: Path) -> None:
     """The gains that the subsets are judged by must be those that lit the target."""
     from multilight.datagen.storage.training_source import open_training
     from multilight.model.data.dataset import MultiLightDataset
@@ -82,9 +82,9 @@ def test_light_shares_are_those_of_the_target(spheres_dataset: Path) -> None:
     lit = np.einsum("lhwc,lc->hwc", views[0].variant("all").astype(np.float32), base)
     shown = srgb_encode(tone_curve(lit))[:, 8:-8]
     np.testing.assert_allclose(samples[0]["target"][0].numpy().transpose(1, 2, 0), shown, atol=2e-3)
-    shares = light_shares(views, base)
-    assert sum(shares.values()) == pytest.approx(1.0)
-    assert {name for name, share in shares.items() if share == 0} == {
+    fractions = light_fractions(views, base)
+    assert sum(fractions.values()) == pytest.approx(1.0)
+    assert {name for name, fraction in fractions.items() if fraction == 0} == {
         name for name, gain in zip(views[0].lights, base, strict=True) if not gain.any()
     }
 
@@ -191,8 +191,8 @@ def test_a_perfect_model_wins_everywhere(groups: list[Group]) -> None:
     assert found.subsets[0] in SETTINGS.splits or found.subsets[0].startswith("kind")
 
 
-def test_memory_is_watched() -> None:
-    with watched_memory() as memory:
+def test_peak_memory_is_measured() -> None:
+    with peak_memory() as memory:
         block = torch.ones(20, 1024, 1024)
         block += 1
     del block

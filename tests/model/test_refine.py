@@ -13,7 +13,7 @@ from multilight.model.configs.stage2d import NetworkConfig
 from multilight.model.configs.stage3d import SceneNetworkConfig
 from multilight.model.evaluation.cases import CaseSettings, Group, dataset_groups
 from multilight.model.evaluation.method3d import SceneMethod
-from multilight.model.gaussians.refine import Free, Pairs, refine, refined_scene, render
+from multilight.model.gaussians.refine import Pairs, Parameters, refine, refined_scene, render
 from multilight.model.gaussians.splat_scene import splat_scene
 from multilight.model.networks.compositing2d import Compositing2D
 from multilight.model.networks.compositing3d import scene_network
@@ -78,7 +78,7 @@ def psnr(view: Camera, gaussians: Gaussians, picture: Float32, where: Mask) -> f
 @pytest.mark.parametrize("seed", range(3))
 def test_renders_what_numpy_renders(seed: int) -> None:
     view, gaussians = camera(), cloud(seed, 500)
-    made = render(view, Free.of(gaussians), Pairs.of(view, gaussians)).numpy()
+    made = render(view, Parameters.of(gaussians), Pairs.of(view, gaussians)).numpy()
     np.testing.assert_allclose(made, shown(view, gaussians), atol=2e-5)
     assert made[..., 3].max() > 0.9
 
@@ -86,7 +86,7 @@ def test_renders_what_numpy_renders(seed: int) -> None:
 def test_renders_a_scene_as_numpy_does(group: Group) -> None:
     gaussians = laid(group)
     for view in group.cameras:
-        made = render(view, Free.of(gaussians), Pairs.of(view, gaussians)).numpy()
+        made = render(view, Parameters.of(gaussians), Pairs.of(view, gaussians)).numpy()
         np.testing.assert_allclose(made, shown(view, gaussians), atol=2e-5)
 
 
@@ -94,12 +94,12 @@ def test_gradients_are_those_of_finite_differences() -> None:
     view = camera(10, 7)
     gaussians = cloud(3, 40)
     gaussians = replace(gaussians, opacities=np.minimum(gaussians.opacities, np.float32(0.9)))  # below the cap
-    pairs, free = Pairs.of(view, gaussians), Free.of(gaussians, dtype=torch.float64)
+    pairs, free = Pairs.of(view, gaussians), Parameters.of(gaussians, dtype=torch.float64)
     names = ("means", "quats", "logs", "logits", "colors")
     leaves = [getattr(free, name).requires_grad_() for name in names]
 
     def picture(*values: torch.Tensor) -> torch.Tensor:
-        return render(view, Free(*values), pairs)
+        return render(view, Parameters(*values), pairs)
 
     assert len(pairs.numbers) > 10
     assert torch.autograd.gradcheck(picture, leaves)
@@ -111,7 +111,7 @@ def test_what_is_capped_has_no_gradient() -> None:
         cloud(0, 1), means=np.array([[0, 0, -1]], np.float32), scales=np.full((1, 3), 9, np.float32),
         opacities=np.ones(1, np.float32),
     )  # fmt: skip
-    free = Free.of(one)
+    free = Parameters.of(one)
     free.logits.requires_grad_()
     made = render(view, free, Pairs.of(view, one))
     made.sum().backward()
