@@ -283,7 +283,8 @@ for root in ({str(copy)!r}, {str(packed)!r}):
 assert main(["pack", {str(copy)!r}, "--out", {str(tmp_path / "packed")!r}, "--workers", "1"]) == 0
 assert main(["pack", {str(copy)!r}, "--out", {str(copy)!r}]) == 1
 BLOCKED.remove("matplotlib")  # which FLIP's library imports
-from multilight.model import evaluation, harmonize, training, training3d
+import multilight.model.evaluation.run, multilight.model.inference.harmonize
+import multilight.model.training.stage2d, multilight.model.training.stage3d
 """
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
     assert shown.returncode == 0, shown.stderr
