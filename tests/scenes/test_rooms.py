@@ -155,11 +155,11 @@ def test_same_streams_give_the_same_room(scenes: list[SceneSpec], library: Asset
     assert again.sha256() == scenes[1].sha256()
 
 
-def test_kinds_of_room_follow_their_shares(library: AssetLibrary) -> None:
+def test_kinds_of_room_follow_their_weights(library: AssetLibrary) -> None:
     only = SETTINGS.model_copy(update={"rooms": RoomWeights(living=0, kitchen=0, bedroom=0, study=1)})
     scene = sample_room(Streams(5, 9), library, index=9, settings=only)
     assert any(body.category in ("desk", "trestle", "bistro") for body in scene.bodies)
-    with pytest.raises(ValueError, match="at least one type of room"):
+    with pytest.raises(ValueError, match="at least one of living, kitchen"):
         RoomWeights(living=0, kitchen=0, bedroom=0, study=0)
 
 

@@ -241,8 +241,8 @@ def test_what_stands_unevenly_tips_a_little(library: AssetLibrary, slant: float,
     poses = resting_poses(info, plain_mesh(wedge))
     assert len(poses) == rests
     for pose in poses:
-        assert np.arccos(pose.turn[2, 2]) == pytest.approx(np.arctan(slant / 0.2), rel=1e-3)
-        heights = (plain_mesh(wedge).vertices() @ pose.turn.T)[:, 2] + pose.lift
+        assert np.arccos(pose.rotation[2, 2]) == pytest.approx(np.arctan(slant / 0.2), rel=1e-3)
+        heights = (plain_mesh(wedge).vertices() @ pose.rotation.T)[:, 2] + pose.lift
         assert (heights < 1e-6).sum() >= 4, "all of the underside is on the ground"
 
 
