@@ -23,9 +23,15 @@ from multilight.scenes.materials import (
 )
 from multilight.scenes.materials.emission import EMISSIONS, emission_of, part_area, sample_glow
 from multilight.scenes.spec import Material, Texture
-from multilight.scenes.still_life.receivers import LOOSE, PROBABILITIES, choose_receiver, receiver_material
+from multilight.scenes.still_life.receivers import (
+    LOOSE,
+    PROBABILITIES,
+    ReceiverKind,
+    choose_receiver,
+    receiver_material,
+)
 
-MIRRORS = ("mirror top", "mirror plate", "chrome tray", "standing mirror")
+MIRRORS: tuple[ReceiverKind, ...] = ("mirror top", "mirror plate", "chrome tray", "standing mirror")
 
 
 @pytest.fixture(scope="module")

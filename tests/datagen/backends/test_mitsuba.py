@@ -1,7 +1,9 @@
 """The Mitsuba room: its integrator against the built-in one, energy, removed objects, and compiled kernels."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,10 +11,11 @@ from scipy.spatial.transform import Rotation
 
 from multilight.datagen.backends.machine.variants import choose_variant
 from multilight.datagen.backends.protocol import RenderJob, RenderSettings
+from multilight.datagen.storage.layers import LayerStack
 from multilight.lights.spec import EmissiveLight, EnvironmentLight, Light, LightRig, PointLight, SunLight
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.cameras.pinhole import camera_from_fov, look_at, matrix4
-from multilight.scenes.spec import Body, Material, Rectangle, SceneSpec, Sphere, Texture
+from multilight.scenes.spec import Body, Camera, Material, Rectangle, SceneSpec, Sphere, Texture
 from tests.datagen.backends.calibration_scenes import LIGHTS, SURFACES, calibration_job
 from tests.datagen.backends.contract_scenes import (
     BALLS,
@@ -34,7 +37,7 @@ import mitsuba as mi
 
 from multilight.datagen.backends.mitsuba import MitsubaBackend
 from multilight.datagen.backends.mitsuba.adaptive import first_blocks
-from multilight.datagen.backends.mitsuba.arrays import Textures, scene_arrays
+from multilight.datagen.backends.mitsuba.arrays import SceneArrays, Textures, scene_arrays
 from multilight.datagen.backends.mitsuba.backend import _Batch
 from multilight.datagen.backends.mitsuba.bsdf import Tables
 from multilight.datagen.backends.mitsuba.cameras import Lens
@@ -46,12 +49,12 @@ WHITE = (1.0, 1.0, 1.0)
 
 
 @pytest.fixture(scope="module")
-def library(tmp_path_factory):
+def library(tmp_path_factory: pytest.TempPathFactory) -> AssetLibrary:
     return AssetLibrary(cache=tmp_path_factory.mktemp("cache"))
 
 
 @pytest.fixture(scope="module")
-def backend(library):
+def backend(library: AssetLibrary) -> Iterator[MitsubaBackend]:
     with MitsubaBackend(library) as opened:
         yield opened
 
@@ -65,10 +68,10 @@ class Sequential:
 
     sampler: mi.Sampler
 
-    def next_1d(self, dimension, vertex=0):
+    def next_1d(self, dimension: int, vertex: int = 0) -> mi.Float:
         return self.sampler.next_1d()
 
-    def next_2d(self, dimension, vertex=0):
+    def next_2d(self, dimension: int, vertex: int = 0) -> mi.Point2f:
         return self.sampler.next_2d()
 
 
@@ -85,13 +88,14 @@ OWN_LIGHTS: tuple[Light, ...] = (
 )
 
 
-def _block(centre, size):
+def _block(centre: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray]:
     """Six flat sides of a turned cube: corners and triangles.
 
     No normal has a zero in it, whose sign would be for rounding to decide, and with it the frame.
     """
     turn = Rotation.from_euler("xyz", [0.3, 0.5, 0.7]).as_matrix()
-    corners, faces = [], []
+    corners: list[np.ndarray] = []
+    faces: list[list[int]] = []
     for axis in range(3):
         for side in (-1, 1):
             u, v = (np.eye(3)[(axis + 1) % 3], np.eye(3)[(axis + 2) % 3])
@@ -103,7 +107,7 @@ def _block(centre, size):
     return np.array(corners, np.float32), np.array(faces, np.uint32)
 
 
-def _mesh(name, vertices, faces, **more):
+def _mesh(name: str, vertices: np.ndarray, faces: np.ndarray, **more: Any) -> mi.Mesh:
     mesh = mi.Mesh(name, len(vertices), len(faces), has_vertex_texcoords=True, props=_props(**more))
     parameters = mi.traverse(mesh)
     parameters["vertex_texcoords"] = mi.Float(_aligned_uv(vertices, faces).ravel())
@@ -113,7 +117,7 @@ def _mesh(name, vertices, faces, **more):
     return mesh
 
 
-def _aligned_uv(vertices, faces):
+def _aligned_uv(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Texture coordinates that run along the axes of `Frame3f`, from which the built-in integrator takes its own."""
     uv = np.zeros((len(vertices), 2), np.float32)
     for triangle in faces:
@@ -124,14 +128,14 @@ def _aligned_uv(vertices, faces):
     return uv
 
 
-def _props(**objects):
+def _props(**objects: object) -> mi.Properties:
     props = mi.Properties()
     for key, value in objects.items():
         props[key] = mi.load_dict(value)
     return props
 
 
-def _ours(lights: tuple[Light, ...], library) -> World:
+def _ours(lights: tuple[Light, ...], library: AssetLibrary) -> World:
     """The ground and, in the places of two balls, two turned cubes, as our integrator takes them."""
     rectangles = [
         Body(name="ground", role="support", category="test", geometry=Rectangle(width=4.0, height=4.0),
@@ -151,10 +155,11 @@ def _ours(lights: tuple[Light, ...], library) -> World:
     surfaces = Surfaces(arrays)
     emitters = emitters_of(LightRig(lights=lights), arrays, surfaces, library)
     whole = accelerate(arrays, arrays.of_bodies(arrays.spans))
+    assert whole is not None
     return World(whole, whole, None, surfaces, emitters, Tables(), mi.UInt32([0] * 4))
 
 
-def _with_blocks(arrays):
+def _with_blocks(arrays: SceneArrays) -> SceneArrays:
     """Put flat cubes where the balls are: without smooth normals both renderers have the same frames."""
     vertices = [arrays.vertices[:4]]
     faces = [arrays.faces[:2]]
@@ -173,18 +178,18 @@ def _with_blocks(arrays):
 
 
 def _builtin(chosen: set[str]) -> mi.Scene:
-    def diffuse(name):
+    def diffuse(name: str) -> dict[str, object]:
         return {"type": "diffuse", "reflectance": {"type": "rgb", "value": list(COLOURS[name])}}
 
-    def rgb(*values):
+    def rgb(*values: float) -> dict[str, object]:
         return {"type": "rgb", "value": list(values)}
 
     half = 2.0
     ground = np.array([[-half, -half, 0], [half, -half, 0], [half, half, 0], [-half, half, 0]], np.float32)
     solids = {name: _block(np.array(centre), size) for name, (centre, size) in SOLIDS.items()}
     axes = mi.ScalarTransform4f(np.array([[0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]]))
-    bitmap = mi.Bitmap(np.broadcast_to(np.float32([0.3, 0.4, 0.5]), (9, 8, 3)).copy())
-    glow = {"emitter": {"type": "area", "radiance": rgb(3.0, 2.0, 1.0)}} if "glow" in chosen else {}
+    bitmap = mi.Bitmap(np.broadcast_to(np.array([0.3, 0.4, 0.5], np.float32), (9, 8, 3)).copy())
+    glow: dict[str, Any] = {"emitter": {"type": "area", "radiance": rgb(3.0, 2.0, 1.0)}} if "glow" in chosen else {}
     lights = {
         "point": {"type": "point", "position": [-1.0, -1.0, 1.5], "intensity": rgb(2.0, 1.0, 0.5)},
         "sun": {"type": "directional", "direction": [0.3, 0.4, -1.0], "irradiance": rgb(1.0, 0.9, 0.8)},
@@ -209,7 +214,7 @@ def _rays() -> mi.Ray3f:
     return mi.Ray3f(mi.Point3f(0.2, -2.4, 1.0), d)
 
 
-def _sampler():
+def _sampler() -> mi.Sampler:
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(3, COUNT)
     return sampler
@@ -219,12 +224,15 @@ def _sampler():
 @pytest.mark.parametrize(
     ("chosen", "share"), [({"point", "sun", "sky"}, 1e-3), ({"point", "sun", "sky", "glow"}, 0.02)]
 )
-def test_layers_sum_to_the_builtin_path_integrator_path_by_path(library, chosen, share):
+def test_layers_sum_to_the_builtin_path_integrator_path_by_path(
+    library: AssetLibrary, chosen: set[str], share: float
+) -> None:
     builtin = _builtin(chosen)
     order = [PLUGINS[str(e).split("[")[0]] for e in builtin.emitters()]
     lights = {light.name: light for light in OWN_LIGHTS}
     world = _ours(tuple(lights[name] for name in order), library)
-    result = trace(world, _rays(), Sequential(_sampler()), max_bounces=5, one_light=True)
+    sampler: Any = Sequential(_sampler())
+    result = trace(world, _rays(), sampler, max_bounces=5, one_light=True)
     path = mi.load_dict({"type": "path", "max_depth": 7, "rr_depth": 3})
     expected = np.array(path.sample(builtin, _sampler(), mi.RayDifferential3f(_rays()))[0])
     total = np.array(sum(result.layers[1:], result.layers[0]))
@@ -237,7 +245,7 @@ def test_layers_sum_to_the_builtin_path_integrator_path_by_path(library, chosen,
 # --- each layer is the picture of its light alone ---
 
 
-def test_each_layer_is_the_render_of_its_light_alone(backend):
+def test_each_layer_is_the_render_of_its_light_alone(backend: MitsubaBackend) -> None:
     """A Z-test over 8 x 8 blocks, with the variance that eight independent renders of each show."""
     names = ("environment", "sun", "bulb", "rectangle")
     lights = tuple(LIGHTS[name] for name in names)
@@ -251,14 +259,14 @@ def test_each_layer_is_the_render_of_its_light_alone(backend):
         assert abs(np.mean(z)) < 0.3, light.name
 
 
-def _repeated(backend, lights):
+def _repeated(backend: MitsubaBackend, lights: tuple[Light, ...]) -> np.ndarray:
     """Render the plastic ball eight times with other random numbers, as blocks of 8 x 8 pixels."""
     job = calibration_job(SURFACES["plastic"], lights, 16)
     scenes = [job.scene.model_copy(update={"index": number}) for number in range(8)]
     return np.array([_blocks(backend.render(replace(job, scene=scene)).radiance) for scene in scenes])
 
 
-def _blocks(picture):
+def _blocks(picture: np.ndarray) -> np.ndarray:
     *lead, height, width, _ = picture.shape
     return picture.reshape(*lead, height // 8, 8, width // 8, 8, 3).mean(axis=(-4, -2)).astype(np.float64)
 
@@ -280,7 +288,7 @@ FURNACE = {
 
 
 @pytest.mark.parametrize("name", FURNACE)
-def test_furnace(backend, name):
+def test_furnace(backend: MitsubaBackend, name: str) -> None:
     """A white ball in uniform light of radiance 1 cannot be seen."""
     fields, tolerance = FURNACE[name]
     body = Body(name="ball", role="object", category="test", geometry=Sphere(radius=1.0),
@@ -299,19 +307,28 @@ def test_furnace(backend, name):
 BLACK = Material(base_color=(0.0, 0.0, 0.0), roughness=1.0, ior=1.0)
 
 
-def _seen(backend, bodies, light, camera, *, variant="all", spp=16, threads=2):
+def _seen(
+    backend: MitsubaBackend,
+    bodies: tuple[Body, ...],
+    light: Light,
+    camera: Camera,
+    *,
+    variant: str = "all",
+    spp: int = 16,
+    threads: int = 2,
+) -> LayerStack:
     scene = SceneSpec(kind="custom", index=2, bodies=bodies, cameras=(camera,))
     settings = RenderSettings(spp=spp, max_bounces=2, threads=threads)
     return backend.render(RenderJob(scene, LightRig(lights=(light,)), settings, 0, variant))
 
 
-def _plate(material, *, height=0.0, size=1.6, insertable=False):
+def _plate(material: Material, *, height: float = 0.0, size: float = 1.6, insertable: bool = False) -> Body:
     return Body(name="plate", role="object", category="test", geometry=Rectangle(width=size, height=size),
                 materials=(material,), world_from_body=matrix4(placed(0, 0, height)),
                 insertable=insertable)  # fmt: skip
 
 
-def test_a_glowing_picture_is_the_picture_that_the_albedo_shows(backend):
+def test_a_glowing_picture_is_the_picture_that_the_albedo_shows(backend: MitsubaBackend) -> None:
     picture = Texture(image="builtin/wood-ash", repeat=(1.3, 0.7))
     material = Material(base_color=WHITE, base_color_texture=picture, roughness=1.0, ior=1.0)
     light = EmissiveLight(name="glow", body="plate", radiance=(1.0, 2.0, 3.0), texture=picture)
@@ -321,7 +338,7 @@ def test_a_glowing_picture_is_the_picture_that_the_albedo_shows(backend):
     assert np.abs(stack.radiance[0] / np.array(light.radiance) - stack.guide_albedo).mean() < 2e-3
 
 
-def test_a_bumpy_plate_is_lit_as_its_normals_say(backend):
+def test_a_bumpy_plate_is_lit_as_its_normals_say(backend: MitsubaBackend) -> None:
     bumps = Texture(image="builtin/weave-basket-normal", repeat=(0.15, 0.1))
     plate = _plate(Material(base_color=(0.5,) * 3, roughness=1.0, ior=1.0, normal_texture=bumps))
     light = SunLight(name="sun", direction=(0.7, 0.4, -1.0), irradiance=(1.0, 2.0, 3.0), angle=0.0)
@@ -334,7 +351,7 @@ def test_a_bumpy_plate_is_lit_as_its_normals_say(backend):
     assert (np.abs(stack.radiance[0] - expected).mean(axis=(0, 1)) < 0.05 * relief).all()
 
 
-def test_a_see_through_plate_passes_what_its_opacity_leaves(backend):
+def test_a_see_through_plate_passes_what_its_opacity_leaves(backend: MitsubaBackend) -> None:
     """A quarter of the light stays in a plate of a quarter's opacity, and it covers a quarter of what it hides."""
     pane = _plate(BLACK.model_copy(update={"opacity": 0.25}), height=1.0, size=4.0, insertable=True)
     sun = SunLight(name="sun", direction=(0.0, 0.0, -1.0), irradiance=(1.0, 2.0, 3.0), angle=0.0)
@@ -349,7 +366,7 @@ def test_a_see_through_plate_passes_what_its_opacity_leaves(backend):
     assert not everything.geometry.environment.any()
 
 
-def test_a_sheet_glows_on_both_sides(backend):
+def test_a_sheet_glows_on_both_sides(backend: MitsubaBackend) -> None:
     light = EmissiveLight(name="glow", body="plate", radiance=(1.0, 2.0, 3.0))
     for height in (1.0, -1.0):
         camera = camera_from_fov(look_at((0, 0, height), (0, 0, 0), up=(0, 1, 0)), width=16, height=16, fov=0.5)
@@ -357,7 +374,7 @@ def test_a_sheet_glows_on_both_sides(backend):
         np.testing.assert_allclose(stack.radiance[0], np.broadcast_to(light.radiance, (16, 16, 3)), rtol=1e-5)
 
 
-def test_threads_change_nothing(backend, library):
+def test_threads_change_nothing(backend: MitsubaBackend, library: AssetLibrary) -> None:
     with MitsubaBackend(library) as other:
         one, two = (
             _seen(opened, (GROUND, *BALLS), SKY, oblique_camera(), variant="without_near", spp=2, threads=threads)
@@ -369,7 +386,7 @@ def test_threads_change_nothing(backend, library):
 # --- removed objects ---
 
 
-def test_removing_a_glowing_object_leaves_other_light_alone(backend):
+def test_removing_a_glowing_object_leaves_other_light_alone(backend: MitsubaBackend) -> None:
     """Unlike a renderer that chooses among the lights, ours gives far pixels exactly what they had."""
     scene = job().scene
     bodies = tuple(b.model_copy(update={"insertable": b.name == "bulb"}) for b in scene.bodies)
@@ -389,7 +406,7 @@ def test_removing_a_glowing_object_leaves_other_light_alone(backend):
     assert changed[:, far].mean() < 0.05
 
 
-def test_only_paths_that_met_a_glowing_object_are_traced_again(backend):
+def test_only_paths_that_met_a_glowing_object_are_traced_again(backend: MitsubaBackend) -> None:
     """That a body hides half of its own glow from a point is no reason to trace that point without it."""
     scene = job().scene
     bodies = tuple(b.model_copy(update={"insertable": b.name == "bulb"}) for b in scene.bodies)
@@ -398,13 +415,14 @@ def test_only_paths_that_met_a_glowing_object_are_traced_again(backend):
     settings = RenderSettings(spp=4, max_bounces=1, threads=2)
     backend.render(RenderJob(scene, LightRig(lights=lights), settings, 0))
     camera = scene.cameras[0]
+    assert backend._synced is not None
     batch = _Batch(backend._synced, Lens(camera), settings, 0, first_blocks(camera.width * camera.height, 4))
     result = batch._trace(None, dr.arange(mi.UInt32, camera.width * camera.height * 4))
     lit = np.array(result.first) > 0
     assert 0 < np.mean(np.array(result.met)[lit] != 0) < 0.25
 
 
-def test_composite_with_one_lighting_is_the_target_at_edges(backend):
+def test_composite_with_one_lighting_is_the_target_at_edges(backend: MitsubaBackend) -> None:
     """Where no shadow, reflection or glow of the object falls, over the rim of the object too, there is no halo."""
     lights = (EnvironmentLight(name="sky", radiance=(0.5, 1.0, 2.0)),)
     body = Body(name="ball", role="object", category="test", geometry=Sphere(radius=0.8), insertable=True,
@@ -417,6 +435,7 @@ def test_composite_with_one_lighting_is_the_target_at_edges(backend):
         variant: backend.render(RenderJob(scene, LightRig(lights=lights), RenderSettings(spp=32), 0, variant))
         for variant in ("all", "without_ball", "foreground_ball")
     }
+    assert made["foreground_ball"].coverage is not None
     coverage = made["foreground_ball"].coverage[..., None]
     edge = (coverage[..., 0] > 0) & (coverage[..., 0] < 1)
     assert edge.sum() > 50
@@ -427,7 +446,7 @@ def test_composite_with_one_lighting_is_the_target_at_edges(backend):
 # --- compiled once ---
 
 
-def test_another_scene_with_the_same_kinds_of_light_compiles_nothing(backend):
+def test_another_scene_with_the_same_kinds_of_light_compiles_nothing(backend: MitsubaBackend) -> None:
     first = calibration_job(SURFACES["plastic"], (LIGHTS["sun"], LIGHTS["bulb"]), 4)
     backend.render(first)
     moved = LIGHTS["bulb"].model_copy(update={"position": (0.3, -0.7, 1.1)})
