@@ -54,10 +54,11 @@ class Counting:
 def counted(world: World, counter: mi.UInt32) -> World:
     """Return a world that counts its rays."""
 
-    def count(soup: Soup | None) -> Soup | None:
-        return None if soup is None else replace(soup, scene=Counting(soup.scene, counter))
+    def count(soup: Soup) -> Soup:
+        return replace(soup, scene=Counting(soup.scene, counter))
 
-    return replace(world, whole=count(world.whole), fixed=count(world.fixed), changing=count(world.changing))
+    fixed, changing = (soup and count(soup) for soup in (world.fixed, world.changing))
+    return replace(world, whole=count(world.whole), fixed=fixed, changing=changing)
 
 
 def bare(world: World, points: np.ndarray, count: int) -> float:
@@ -97,6 +98,7 @@ def main(options: Options) -> None:
     views = np.linspace(1, len(scene.cameras) - 1, options.views).astype(int).tolist()
     seconds = sum(render(view) for view in views)
     synced = backend._synced
+    assert synced is not None
     whole = synced.world
     counter = dr.zeros(mi.UInt32, 1)
     synced._worlds[None] = counted(whole, counter)

@@ -241,7 +241,7 @@ def main(options: Options) -> None:
     library = AssetLibrary()
     for named in options.cases:
         kind, _, seed = named.partition(":")
-        config = DatasetConfig(seed=int(seed), kind=kind, width=options.size, height=options.size)  # type: ignore[arg-type]
+        config = DatasetConfig(seed=int(seed), kind=kind, width=options.size, height=options.size)
         streams = Streams(config.seed, 0)
         scene, rig = sample_scene(config, library, streams)
         case = Case(scene, rig, sample_conditions(streams("conditions"), rig, options.conditions), options)

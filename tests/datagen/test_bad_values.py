@@ -199,7 +199,7 @@ def test_pictures_that_are_none(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert not (tmp_path / "h.png").exists()
 
 
-CAMERAS = {
+CAMERAS: dict[str, tuple[object, ...]] = {
     "w": (0, -1, 1e308, float("inf"), float("nan"), "x", [], {}),
     "fl_x": (0, -1, float("inf"), float("nan"), "x", None),
     "camera_model": (0, "x", None),

@@ -31,7 +31,7 @@ def foreign_exr(path: Path) -> None:
     shutil.copy(path.parent.parent.parent / "000000" / "views" / "00.exr", path)
 
 
-Damage = tuple[str, Callable[[Path], None], str]
+Damage = tuple[str, Callable[[Path], object], str]
 DAMAGES: dict[str, Damage] = {
     "truncated view": ("scenes/000001/views/00.exr", truncate, "truncated or replaced: .* bytes"),
     "empty view": ("scenes/000001/views/00.exr", lambda path: path.write_bytes(b""), "truncated or replaced: 0 bytes"),

@@ -125,7 +125,7 @@ def test_mix_takes_a_file_and_random_lightings(
     path.write_text(json.dumps({"name": "mine", "gains": {light: [2, 1, 0]}, "exposure_ev": -1}))
     assert run("mix", spheres_dataset, "--condition", path, "--out", tmp_path / "a.exr") == 0
     layer = view.variants["all"][view.lights.index(light)]
-    np.testing.assert_allclose(read_rgb(tmp_path / "a.exr"), layer * np.float32([1, 0.5, 0]), rtol=1e-6)
+    np.testing.assert_allclose(read_rgb(tmp_path / "a.exr"), layer * np.array([1, 0.5, 0], np.float32), rtol=1e-6)
     for seed, name in ((3, "b"), (3, "c"), (4, "d")):
         words = ["--condition", f"random:{seed}", "--what", "target", "--out", tmp_path / f"{name}.png"]
         assert run("mix", spheres_dataset, *words) == 0

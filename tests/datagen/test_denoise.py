@@ -39,7 +39,8 @@ def truth() -> Stacks:
             return backend.render(RenderJob(scene, rig, RenderSettings(spp=16, threads=1), 0, variant))
 
         foregrounds = {name: render(f"foreground_{name}") for name in scene.insertable}
-        largest = max(foregrounds, key=lambda name: float(np.sum(foregrounds[name].coverage)))
+        coverages = {name: stack.coverage for name, stack in foregrounds.items() if stack.coverage is not None}
+        largest = max(coverages, key=lambda name: float(coverages[name].sum()))
         stacks = {
             "all": render("all"),
             "without": render(f"without_{largest}"),
@@ -47,8 +48,8 @@ def truth() -> Stacks:
         }
     geometry = stacks["all"].geometry
     assert geometry is not None
-    guides = {"guide_albedo": geometry.albedo, "guide_normal": geometry.normal_world}
-    return {name: dataclasses.replace(stack, **guides) for name, stack in stacks.items()}
+    albedo, normal = geometry.albedo, geometry.normal_world
+    return {n: dataclasses.replace(s, guide_albedo=albedo, guide_normal=normal) for n, s in stacks.items()}
 
 
 @pytest.fixture(scope="module")
@@ -139,10 +140,13 @@ def patch(noise: float, *, bright: float = 1.0) -> tuple[Stacks, Mask]:
     alike = np.random.default_rng(3).gamma(1 / noise**2, noise**2, (64, 64, 1)).astype(np.float32)
     behind = np.broadcast_to(HUES[1] * np.float32(bright), (64, 64, 3))
     there = np.where(square[..., None], HUES[0] * np.float32(bright), behind)
-    flat = {"guide_normal": np.broadcast_to(np.float32((0, 0, 1)), (64, 64, 3)), "lights": ("lamp",)}
+    upright = np.broadcast_to(np.array((0, 0, 1), np.float32), (64, 64, 3))
     stacks = {
-        name: LayerStack(radiance=(image * alike)[None], combined=image * alike, guide_albedo=albedo, **flat)
-        for name, image, albedo in (("all", there, np.where(square[..., None], *HUES)), ("without", behind, behind))
+        name: LayerStack(("lamp",), (image * alike)[None], image * alike, guide_albedo=albedo, guide_normal=upright)
+        for name, image, albedo in (
+            ("all", there, np.where(square[..., None], HUES[0], HUES[1])),
+            ("without", behind, behind),
+        )
     }
     return stacks, square
 

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -228,7 +229,7 @@ def test_doctor_fails_where_nothing_can_render(
     broken: str, diagnosis: doctor.Diagnosis, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     fault = doctor.Part("1.0", "ImportError: [lib] is broken")
-    parts = {"denoiser": fault} if broken == "denoiser" else {"blender": fault, "mitsuba": fault}
+    parts: dict[str, Any] = {"denoiser": fault} if broken == "denoiser" else {"blender": fault, "mitsuba": fault}
     monkeypatch.setattr(doctor, "diagnose", lambda: replace(diagnosis, **parts))
     assert main(["doctor"]) == 1
     assert "[lib] is broken" in capsys.readouterr().out

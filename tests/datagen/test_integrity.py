@@ -34,7 +34,7 @@ from tests.datagen.chain import Json, chain, rewrite_json
 from tests.datagen.servers import http_server, in_memory, s3_server
 
 
-def run(*words: str | Path) -> int:
+def run(*words: object) -> int:
     return main([str(word) for word in words])
 
 
@@ -112,8 +112,8 @@ def added(name: str) -> Callable[[Path], None]:
     return change
 
 
-def moved(old: str, new: str) -> Callable[[Path], None]:
-    return lambda root: (root / old).rename(root / new) and None
+def moved(old: str, new: str) -> Callable[[Path], object]:
+    return lambda root: (root / old).rename(root / new)
 
 
 def copied(old: str, new: str) -> Callable[[Path], None]:
@@ -127,7 +127,8 @@ def copied(old: str, new: str) -> Callable[[Path], None]:
 
 
 S0, S1 = "scenes/000000", "scenes/000001"
-QUICK: dict[str, tuple[Callable[[Path], None], str]] = {
+CREDIT = {"id": "a/b", "pack": "a", "name": "b", "creator": "c", "licence": "CC0"}
+QUICK: dict[str, tuple[Callable[[Path], object], str]] = {
     "scene folder missing": (removed(S1), "1 None scenes/000001 is missing"),
     "record missing": (removed(f"{S1}/scene.json"), r"1 None .*scene\.json is missing"),
     "record cut": (lambda root: os.truncate(root / S1 / "scene.json", 1000), r"1 None .*scene\.json is damaged"),
@@ -193,8 +194,7 @@ QUICK: dict[str, tuple[Callable[[Path], None], str]] = {
         "1 None index.parquet states another attempt, record_sha256",
     ),
 }  # fmt: skip
-CREDIT = {"id": "a/b", "pack": "a", "name": "b", "creator": "c", "licence": "CC0"}
-FULL: dict[str, tuple[Callable[[Path], None], str]] = {
+FULL: dict[str, tuple[Callable[[Path], object], str]] = {
     "view flipped": (flipped(f"{S1}/views/01.exr"), r"1 1 views/01\.exr was changed"),
     "view zeroed": (
         lambda root: (root / S1 / "views/01.exr").write_bytes(bytes((root / S1 / "views/01.exr").stat().st_size)),

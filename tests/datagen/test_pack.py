@@ -79,7 +79,7 @@ def test_one_step_in_one_channel_of_one_pixel_is_kept(
     """Variants of the same luminance, of another sign of zero, or off by one step are not taken for `all`."""
     record, view = sphere_view
     rng = np.random.default_rng(0)
-    whole = rng.uniform(0.1, 1.0, view.variants["all"].shape).astype(dtype)
+    whole: np.ndarray = rng.uniform(0.1, 1.0, view.variants["all"].shape).astype(dtype)
     if dtype is np.float32:
         whole *= np.float32(1e6)
     whole[:, :16, :16] = 0

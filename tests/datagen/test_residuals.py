@@ -15,7 +15,7 @@ EVERYWHERE = np.ones((96, 128), bool)
 
 
 def flat(*colour: float) -> np.ndarray:
-    return np.broadcast_to(np.float32(colour), (96, 128, 3)).copy()
+    return np.broadcast_to(np.array(colour, np.float32), (96, 128, 3)).copy()
 
 
 def dotted(picture: np.ndarray, rate: float, seed: int = 0) -> np.ndarray:

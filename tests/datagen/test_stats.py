@@ -16,7 +16,15 @@ from multilight.datagen.stats.duplicates import alike_in_content, alike_in_pictu
 from multilight.datagen.stats.facts import SceneFacts, scene_facts
 from multilight.datagen.stats.pictures import colourfulness, dynamic_range
 from multilight.datagen.stats.plots import bar_plot, direction_plot
-from multilight.datagen.stats.quantities import QUANTITIES, Coverage, coverage_of, evenness, filled_fraction
+from multilight.datagen.stats.quantities import (
+    QUANTITIES,
+    Coverage,
+    Quantity,
+    Value,
+    coverage_of,
+    evenness,
+    filled_fraction,
+)
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.store import read_scene, scene_dir
 from multilight.lights.spec import LightRig, SunLight
@@ -100,8 +108,8 @@ def test_facts_of_a_known_scene(record: SceneRecord, library: AssetLibrary) -> N
     radii = [body.geometry.radius for body in record.scene.bodies if body.role == "object"]
     assert values["size"] == pytest.approx([2 * radius for radius in radii], rel=0.02)
     assert values["lens"] == pytest.approx([18 / np.tan(np.radians(18))] * len(record.scene.cameras))
-    assert all(0 <= hidden <= 1 for hidden in values["occlusion"])
-    assert min(values["depth_range"]) >= 1
+    assert all(0 <= float(hidden) <= 1 for hidden in values["occlusion"])
+    assert min(map(float, values["depth_range"])) >= 1
     eyes = [camera.pose()[:3, 3] for camera in record.scene.cameras]
     middle = np.mean([np.array(b.world_from_body)[:3, 3] for b in record.scene.bodies if b.insertable], axis=0)
     assert values["distance"] == pytest.approx([np.linalg.norm(eye - middle) for eye in eyes], rel=0.03)
@@ -165,8 +173,8 @@ def test_picture_measures_of_known_pictures() -> None:
 
 
 @pytest.mark.parametrize("quantity", QUANTITIES, ids=lambda quantity: quantity.key)
-def test_every_quantity_can_be_plotted(quantity: object) -> None:
-    values = ["a", "b", "b"] if quantity.edges is None else [quantity.edges[0], quantity.edges[-1]]
+def test_every_quantity_can_be_plotted(quantity: Quantity) -> None:
+    values: list[Value] = ["a", "b", "b"] if quantity.edges is None else [quantity.edges[0], quantity.edges[-1]]
     svg = bar_plot(quantity, coverage_of(quantity, values))
     assert svg.count("<svg") == 1
     assert svg == bar_plot(quantity, coverage_of(quantity, values))

@@ -3,6 +3,8 @@
 import math
 import subprocess
 import sys
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,6 +28,7 @@ from multilight.lights.relight import gain_matrix, mix
 from multilight.lights.spec import LightingCondition, PointLight
 from multilight.scenes.assets.builtin import skies as sky
 from multilight.scenes.colour import LUMINANCE_WEIGHTS, luminance, srgb_decode, srgb_encode
+from multilight.scenes.frozen import Rgb
 
 LIGHTS = ("key", "fill", "sky")
 gain = st.floats(0.0, 8.0, width=32)
@@ -44,7 +47,7 @@ def layers(seed: int = 0) -> np.ndarray:
 # --- the one weighted sum ---
 
 
-def test_mix_matches_the_sum_written_out():
+def test_mix_matches_the_sum_written_out() -> None:
     radiance = layers()
     got = mix(radiance, LIGHTS, condition({"sky": (1, 2, 3), "key": (0.5, 0, 0.25)}, ev=1.5))
     want = np.zeros(radiance.shape[1:])
@@ -55,38 +58,38 @@ def test_mix_matches_the_sum_written_out():
 
 
 @given(a=rgb, b=rgb, ev=st.floats(-4, 4))
-def test_mix_is_linear_in_the_gains(a, b, ev):
+def test_mix_is_linear_in_the_gains(a: Rgb, b: Rgb, ev: float) -> None:
     radiance = layers()
-    both = tuple(x + y for x, y in zip(a, b, strict=True))
+    both = (a[0] + b[0], a[1] + b[1], a[2] + b[2])
     summed = mix(radiance, LIGHTS, condition({"key": a}, ev)) + mix(radiance, LIGHTS, condition({"key": b}, ev))
     np.testing.assert_allclose(mix(radiance, LIGHTS, condition({"key": both}, ev)), summed, rtol=1e-5, atol=1e-5)
 
 
-def test_one_ev_doubles_exactly():
+def test_one_ev_doubles_exactly() -> None:
     radiance = layers()
     once = mix(radiance, LIGHTS, condition({"fill": (1, 1, 1)}))
     np.testing.assert_array_equal(mix(radiance, LIGHTS, condition({"fill": (1, 1, 1)}, ev=1)), 2 * once)
     np.testing.assert_array_equal(once, radiance[1])
 
 
-def test_absent_light_is_off_and_not_read():
+def test_absent_light_is_off_and_not_read() -> None:
     radiance = layers()
     radiance[0] = np.nan
     assert np.isfinite(mix(radiance, LIGHTS, condition({"fill": (1, 1, 1), "key": (0, 0, 0)}))).all()
     np.testing.assert_array_equal(mix(radiance, LIGHTS, condition({})), 0)
 
 
-def test_mix_reads_half_floats_without_overflow():
+def test_mix_reads_half_floats_without_overflow() -> None:
     radiance = np.full((1, 1, 1, 3), 40000, np.float16)
     np.testing.assert_array_equal(mix(radiance, ["a"], condition({"a": (4, 4, 4)})), 160000)
 
 
-def test_unknown_light_is_named_with_the_known_ones():
+def test_unknown_light_is_named_with_the_known_ones() -> None:
     with pytest.raises(ValueError, match=r"'lamp'.*'key', 'fill', 'sky'"):
         gain_matrix(LIGHTS, condition({"lamp": (1, 1, 1)}))
 
 
-def test_mix_refuses_the_wrong_number_of_layers():
+def test_mix_refuses_the_wrong_number_of_layers() -> None:
     with pytest.raises(ValueError, match=r"\(3, 4, 5, 3\).*2 light"):
         mix(layers(), ["a", "b"], condition({}))
 
@@ -99,34 +102,34 @@ def test_mix_refuses_the_wrong_number_of_layers():
     # IEC 61966-2-1, 8-bit codes to linear.
     [(0, 0.0), (10, 0.0030352698), (11, 0.0033465358), (127, 0.2122307574), (188, 0.5028864580), (255, 1.0)],
 )
-def test_srgb_reference_values(encoded, linear):
+def test_srgb_reference_values(encoded: int, linear: float) -> None:
     assert srgb_decode(encoded / 255) == pytest.approx(linear, rel=1e-6)
     assert srgb_encode(linear) == pytest.approx(encoded / 255, rel=1e-6)
 
 
 @given(st.floats(0, 1))
-def test_srgb_round_trip(x):
+def test_srgb_round_trip(x: float) -> None:
     assert srgb_decode(srgb_encode(x)) == pytest.approx(x, abs=1e-7)
 
 
-def test_luminance_of_white_is_one_and_keeps_the_type():
+def test_luminance_of_white_is_one_and_keeps_the_type() -> None:
     assert luminance(np.ones(3)) == pytest.approx(1.0)
     assert luminance(np.ones((2, 2, 3), np.float32)).dtype == np.float32
 
 
 @given(st.floats(1e-5, 1e5))
-def test_even_picture_meters_to_middle_grey(level):
+def test_even_picture_meters_to_middle_grey(level: float) -> None:
     picture = np.full((8, 8, 3), level)
     assert level * 2 ** meter_ev(picture) == pytest.approx(MIDDLE_GREY, rel=1e-6)
 
 
 @given(level=st.floats(1e-3, 1e3), ev=st.floats(-8, 8))
-def test_metering_follows_exposure(level, ev):
+def test_metering_follows_exposure(level: float, ev: float) -> None:
     picture = np.random.default_rng(1).gamma(1.0, level, (16, 16, 3)) + 1e-3 * level
     assert meter_ev(picture * 2**ev) == pytest.approx(meter_ev(picture) - ev, abs=1e-6)
 
 
-def test_metering_is_robust():
+def test_metering_is_robust() -> None:
     picture = np.full((40, 40, 3), 0.5)
     plain = meter_ev(picture)
     lamp, corner, broken = picture.copy(), picture.copy(), picture.copy()
@@ -140,7 +143,7 @@ def test_metering_is_robust():
     assert meter_ev(np.full((4, 4, 3), np.nan)) == 0.0
 
 
-def test_metering_holds_highlights_by_two_stops_at_most():
+def test_metering_holds_highlights_by_two_stops_at_most() -> None:
     picture = np.full((40, 40, 3), 0.1)
     picture[:4] = 1.2
     exposed = picture * 2 ** meter_ev(picture)
@@ -149,7 +152,7 @@ def test_metering_holds_highlights_by_two_stops_at_most():
     assert meter_ev(picture) > math.log2(MIDDLE_GREY / 0.1) - 2.7
 
 
-def test_metering_reads_the_mask_only():
+def test_metering_reads_the_mask_only() -> None:
     picture = np.full((8, 8, 3), 5.0)
     picture[:4] = 0.02
     mask = np.zeros((8, 8), bool)
@@ -169,12 +172,12 @@ def test_metering_reads_the_mask_only():
         ((1.0, 0.0, 0.0), (0.8, 0.8 - 0.8 / 1.03, 0.8 - 0.8 / 1.03)),
     ],
 )
-def test_tone_curve_reference_values(colour, expected):
+def test_tone_curve_reference_values(colour: Rgb, expected: Rgb) -> None:
     np.testing.assert_allclose(tone_curve(np.array(colour)), expected, atol=2e-6)
 
 
 @given(colour=hnp.arrays(np.float64, 3, elements=st.floats(0, 1e4)), factor=st.floats(1.0, 4.0))
-def test_tone_curve_stays_in_range_grows_and_keeps_the_order_of_channels(colour, factor):
+def test_tone_curve_stays_in_range_grows_and_keeps_the_order_of_channels(colour: np.ndarray, factor: float) -> None:
     low, high = tone_curve(colour), tone_curve(colour * factor)
     assert low.min() >= 0
     assert high.max() <= 1 + 1e-6
@@ -182,14 +185,14 @@ def test_tone_curve_stays_in_range_grows_and_keeps_the_order_of_channels(colour,
     assert (np.diff(low[np.argsort(colour)]) >= -1e-5).all()
 
 
-def test_saturated_highlight_fades_to_white_in_its_own_hue():
+def test_saturated_highlight_fades_to_white_in_its_own_hue() -> None:
     blue = to_display(np.array([[0.02, 0.1, 1.0]]) * 2.0 ** np.arange(12)[:, None])
     assert (blue[:, 2] >= blue[:, 1]).all()
     assert (blue[:, 1] >= blue[:, 0]).all()
     assert blue[-1].min() > 230
 
 
-def test_display_of_broken_values():
+def test_display_of_broken_values() -> None:
     picture = np.array([[np.nan] * 3, [np.inf] * 3, [-np.inf] * 3, [-1.0] * 3, [3e38] * 3])
     np.testing.assert_array_equal(to_display(picture, 20.0)[:, 0], [0, 255, 0, 0, 255])
 
@@ -197,13 +200,13 @@ def test_display_of_broken_values():
 # --- radiometry ---
 
 
-def test_inverse_square_law():
+def test_inverse_square_law() -> None:
     assert radiometry.irradiance_from_intensity(8.0, 2.0) == 2.0
     assert radiometry.irradiance_from_intensity(8.0, 4.0, cosine=0.5) == 0.25
     assert radiometry.irradiance_from_intensity(8.0, 4.0, cosine=-0.5) == 0.0
 
 
-def test_reference_conversions():
+def test_reference_conversions() -> None:
     # An isotropic lamp of 4 pi lm gives 1 cd, and 1 cd gives 1 lux at 1 m.
     intensity = radiometry.watts_from_photometric(4 * math.pi) / (4 * math.pi)
     assert radiometry.photometric_from_watts(intensity) == pytest.approx(1.0)
@@ -216,7 +219,7 @@ def test_reference_conversions():
 
 
 @given(positive)
-def test_conversions_invert(x):
+def test_conversions_invert(x: float) -> None:
     assert radiometry.photometric_from_watts(radiometry.watts_from_photometric(x)) == pytest.approx(x)
     assert radiometry.point_flux_from_intensity(radiometry.point_intensity_from_flux(x)) == pytest.approx(x)
     assert radiometry.area_flux_from_radiance(radiometry.area_radiance_from_flux(x, 0.3), 0.3) == pytest.approx(x)
@@ -224,7 +227,7 @@ def test_conversions_invert(x):
 
 
 @given(value=positive, colour=st.tuples(*[st.floats(0.01, 5.0)] * 3))
-def test_coloured_quantity_has_the_asked_luminance(value, colour):
+def test_coloured_quantity_has_the_asked_luminance(value: float, colour: Rgb) -> None:
     scaled = radiometry.rgb_from_scalar(value, colour)
     assert float(luminance(np.array(scaled))) == pytest.approx(value)
     assert scaled[0] / scaled[2] == pytest.approx(colour[0] / colour[2])
@@ -241,7 +244,7 @@ def test_coloured_quantity_has_the_asked_luminance(value, colour):
         (lambda: radiometry.rgb_from_scalar(1.0, (0.0, 0.0, 0.0)), "one above 0"),
     ],
 )
-def test_impossible_quantities_are_named(call, words):
+def test_impossible_quantities_are_named(call: Callable[[], object], words: str) -> None:
     with pytest.raises(ValueError, match=words):
         call()
 
@@ -261,22 +264,22 @@ def test_impossible_quantities_are_named(call, words):
         (7504.0, (0.29902, 0.31485), 2e-4),
     ],
 )
-def test_chromaticity_reference_values(kelvin, xy, tolerance):
+def test_chromaticity_reference_values(kelvin: float, xy: tuple[float, float], tolerance: float) -> None:
     assert temperature_to_xy(kelvin) == pytest.approx(xy, abs=tolerance)
 
 
-def test_daylight_at_6504_kelvin_is_white():
+def test_daylight_at_6504_kelvin_is_white() -> None:
     assert temperature_to_rgb(6504) == pytest.approx((1, 1, 1), abs=2e-3)
 
 
 @given(st.floats(1000, 25000))
-def test_temperature_colours_have_unit_luminance_and_no_negative_channel(kelvin):
+def test_temperature_colours_have_unit_luminance_and_no_negative_channel(kelvin: float) -> None:
     colour = temperature_to_rgb(kelvin)
     assert min(colour) >= 0
     assert np.dot(LUMINANCE_WEIGHTS, colour) == pytest.approx(1.0)
 
 
-def test_hotter_is_bluer_without_a_jump():
+def test_hotter_is_bluer_without_a_jump() -> None:
     kelvins = np.geomspace(1000, 25000, 400)
     xy = np.array([temperature_to_xy(k) for k in kelvins])
     colours = np.array([temperature_to_rgb(k) for k in kelvins])
@@ -287,12 +290,12 @@ def test_hotter_is_bluer_without_a_jump():
 
 
 @pytest.mark.parametrize("kelvin", [999.0, 25001.0, math.nan, -5.0])
-def test_temperature_outside_the_range_is_refused(kelvin):
+def test_temperature_outside_the_range_is_refused(kelvin: float) -> None:
     with pytest.raises(ValueError, match=r"outside 1000\.\.25000 K"):
         temperature_to_rgb(kelvin)
 
 
-def test_gels_are_saturated_and_of_unit_luminance():
+def test_gels_are_saturated_and_of_unit_luminance() -> None:
     assert len(GELS) >= 12
     colours = {name: np.array(gel_rgb(name)) for name in GELS}
     for colour in colours.values():
@@ -305,7 +308,7 @@ def test_gels_are_saturated_and_of_unit_luminance():
     assert colours["deep_blue"].argmax() == 2
 
 
-def test_random_gel_follows_its_generator():
+def test_random_gel_follows_its_generator() -> None:
     drawn = [random_gel(np.random.default_rng(seed)) for seed in range(60)]
     assert drawn == [random_gel(np.random.default_rng(seed)) for seed in range(60)]
     assert len(set(drawn)) > 8
@@ -313,7 +316,7 @@ def test_random_gel_follows_its_generator():
         gel_rgb("puce")
 
 
-def test_importing_lights_leaves_colour_science_alone():
+def test_importing_lights_leaves_colour_science_alone() -> None:
     code = (
         "import sys, multilight.lights.photometry.colour, multilight.lights.photometry.radiometry\n"
         "import multilight.lights.relight; sys.exit('colour' in sys.modules)"
@@ -324,10 +327,10 @@ def test_importing_lights_leaves_colour_science_alone():
 # --- what lamps are sold by ---
 
 
-def test_named_quantities_keep_their_photometric_value():
+def test_named_quantities_keep_their_photometric_value() -> None:
     warm = temperature_to_rgb(2700)
 
-    def photometric(quantity):
+    def photometric(quantity: Rgb) -> float:
         return 179.0 * float(luminance(np.array(quantity)))
 
     assert photometric(radiometry.intensity_from_candela(120.0, warm)) == pytest.approx(120.0)
@@ -341,7 +344,7 @@ def test_named_quantities_keep_their_photometric_value():
 
 
 @given(half=st.floats(0.1, 1.4), blend=st.floats(0.0, 1.0))
-def test_spot_solid_angle_is_the_integral_over_the_cone(half, blend):
+def test_spot_solid_angle_is_the_integral_over_the_cone(half: float, blend: float) -> None:
     cosine = (np.arange(200_000) + 0.5) / 200_000 * (1 - math.cos(half)) + math.cos(half)
     t = np.clip((cosine - math.cos(half)) / max((1 - math.cos(half)) * blend, 1e-12), 0, 1)
     integral = 2 * math.pi * (1 - math.cos(half)) * float((t * t * (3 - 2 * t)).mean())
@@ -363,7 +366,7 @@ TILT=NONE
 """
 
 
-def test_ies_is_averaged_scaled_and_resampled():
+def test_ies_is_averaged_scaled_and_resampled() -> None:
     lamp = profiles.parse_ies(IES)
     # Multiplier 2 times ballast factor 0.5; the mean over 0..180 by trapezoids is 60 at 30 degrees.
     assert lamp.candela == pytest.approx(100.0)
@@ -378,7 +381,7 @@ def test_ies_is_averaged_scaled_and_resampled():
     assert lamp.lumens == pytest.approx(expected, rel=1e-4)
 
 
-def test_flux_of_an_even_profile_is_a_sphere():
+def test_flux_of_an_even_profile_is_a_sphere() -> None:
     assert profiles.profile_flux((1.0,) * 7) == pytest.approx(4 * math.pi)
 
 
@@ -397,13 +400,13 @@ def test_flux_of_an_even_profile_is_a_sphere():
         ("1 1000 2.0", "1 1000 0.0", "not all 0"),
     ],
 )
-def test_broken_ies_is_named(old, new, words):
+def test_broken_ies_is_named(old: str, new: str, words: str) -> None:
     assert old in IES
     with pytest.raises(profiles.IesError, match=f"lamp.ies: .*{words}"):
         profiles.parse_ies(IES.replace(old, new, 1), source="lamp.ies")
 
 
-def test_ies_file_errors_name_the_file(tmp_path):
+def test_ies_file_errors_name_the_file(tmp_path: Path) -> None:
     path = tmp_path / "lamp.ies"
     path.write_text("hello")
     with pytest.raises(profiles.IesError, match=r"lamp\.ies: no line TILT="):
@@ -413,7 +416,7 @@ def test_ies_file_errors_name_the_file(tmp_path):
 
 
 @pytest.mark.parametrize("name", profiles.LUMINAIRES)
-def test_built_in_luminaires_keep_their_flux(name):
+def test_built_in_luminaires_keep_their_flux(name: str) -> None:
     lamp = profiles.luminaire(name)
     assert lamp.lumens == pytest.approx(profiles.LUMINAIRES[name][0], rel=0.02)
     assert max(lamp.profile) == 1.0
@@ -423,8 +426,8 @@ def test_built_in_luminaires_keep_their_flux(name):
     assert PointLight(name="a", position=(0, 0, 1), intensity=(1, 1, 1), profile=lamp.profile).profile == lamp.profile
 
 
-def test_beams_are_as_wide_as_they_are_called():
-    def full_width(name):
+def test_beams_are_as_wide_as_they_are_called() -> None:
+    def full_width(name: str) -> int:
         return 2 * int(np.argmax(np.array(profiles.luminaire(name).profile) < 0.5))
 
     assert full_width("downlight_narrow") == pytest.approx(15, abs=2)
@@ -442,7 +445,7 @@ def test_beams_are_as_wide_as_they_are_called():
     direction=st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda d: math.hypot(*d) > 1e-3),
     roll=st.floats(-7, 7),
 )
-def test_spot_frame_is_a_rotation_that_looks_along_its_direction(direction, roll):
+def test_spot_frame_is_a_rotation_that_looks_along_its_direction(direction: Rgb, roll: float) -> None:
     frame = spot_frame(direction, roll)
     np.testing.assert_allclose(frame.T @ frame, np.eye(3), atol=1e-9)
     assert np.linalg.det(frame) == pytest.approx(1.0)
@@ -454,7 +457,7 @@ def test_spot_frame_is_a_rotation_that_looks_along_its_direction(direction, roll
         np.testing.assert_allclose(frame[:, 0], math.cos(roll) * unrolled[:, 0] + math.sin(roll) * unrolled[:, 1])
 
 
-def test_spot_frame_of_plain_directions():
+def test_spot_frame_of_plain_directions() -> None:
     north = spot_frame((0, 2, 0))
     np.testing.assert_allclose(north, np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]), atol=1e-12)
     down = spot_frame((0, 0, -1))
@@ -471,13 +474,14 @@ def test_spot_frame_of_plain_directions():
 
 
 @pytest.mark.parametrize("kelvin", [1900, 2856, 4000, 5003, 6504, 12000])
-def test_temperature_is_read_back(kelvin):
-    found, saturation = temperature_of(tuple(7 * c for c in temperature_to_rgb(kelvin)))
+def test_temperature_is_read_back(kelvin: float) -> None:
+    red, green, blue = temperature_to_rgb(kelvin)
+    found, saturation = temperature_of((7 * red, 7 * green, 7 * blue))
     assert found == pytest.approx(kelvin, rel=2e-3)
     assert saturation < 1e-3
 
 
-def test_gels_are_more_saturated_than_whites():
+def test_gels_are_more_saturated_than_whites() -> None:
     strong = ("primary_red", "primary_green", "deep_blue", "magenta", "purple")
     assert min(temperature_of(gel_rgb(name))[1] for name in strong) > 0.08
     pale, full = temperature_of(gel_rgb("magenta", 0.2))[1], temperature_of(gel_rgb("magenta"))[1]
@@ -487,7 +491,7 @@ def test_gels_are_more_saturated_than_whites():
 # --- sky and sun ---
 
 
-def test_preetham_zenith_worked_by_hand():
+def test_preetham_zenith_worked_by_hand() -> None:
     # T = 3, sun 30 degrees from the zenith: chi = (4/9 - 1/40) (pi - pi/3) = 0.878483, tan 1.205933.
     assert sky.zenith_luminance(math.pi / 6, 3.0) == pytest.approx(7.1649 * 1.205933 + 1.7727, rel=1e-5)
     # At the zenith the Perez ratio is one: the formula's own luminance comes out.
@@ -497,7 +501,7 @@ def test_preetham_zenith_worked_by_hand():
 
 
 @pytest.mark.parametrize("degrees", [10, 25, 40, 60])
-def test_sun_agrees_with_the_ies_clear_sky(degrees):
+def test_sun_agrees_with_the_ies_clear_sky(degrees: float) -> None:
     # IES Lighting Handbook: 127.5 exp(-0.21 m) klx on a surface that faces the sun, clear sky, m = 1 / sin(altitude).
     height = math.radians(degrees)
     expected = 127.5 * math.exp(-0.21 / math.sin(height))
@@ -506,7 +510,7 @@ def test_sun_agrees_with_the_ies_clear_sky(degrees):
     )
 
 
-def test_rayleigh_depth_is_the_published_one():
+def test_rayleigh_depth_is_the_published_one() -> None:
     # A. Bucholtz, Rayleigh-scattering calculations for the terrestrial atmosphere, 1995: 0.0973 at 550 nm; the
     # matching functions' fit peaks near 555 nm and gives unit luminance there.
     assert abs(0.008735 * 0.55**-4.08 / 0.0973 - 1) < 0.04
@@ -518,7 +522,7 @@ def test_rayleigh_depth_is_the_published_one():
 
 
 @pytest.mark.parametrize(("name", "low", "high"), [("sky-60-2", 13, 17), ("sky-25-3", 9, 14), ("sky-overcast", 11, 14)])
-def test_skies_have_the_illuminance_of_the_day(name, low, high):
+def test_skies_have_the_illuminance_of_the_day(name: str, low: float, high: float) -> None:
     image = sky.sky_map(name)
     assert image.shape == (sky.ROWS, 2 * sky.ROWS, 3)
     assert image.min() >= 0
@@ -532,14 +536,14 @@ def test_skies_have_the_illuminance_of_the_day(name, low, high):
     assert luminance(image)[half + 20 :].std() < 1e-3, "the ground is even"
 
 
-def test_low_suns_are_red_and_weak():
+def test_low_suns_are_red_and_weak() -> None:
     suns = [np.array(sky.sun_illuminance(elevation=math.radians(e), turbidity=3.0)) for e in (3, 8, 25, 60)]
     assert (np.diff([luminance(sun) for sun in suns]) > 0).all()
     assert (np.diff([sun[2] / sun[0] for sun in suns]) > 0).all()
     assert 85 < luminance(suns[-1]) < 105
 
 
-def test_sky_names():
+def test_sky_names() -> None:
     assert sky.sky_parameters("sky-25-3") == (pytest.approx(math.radians(25)), 3.0)
     assert sky.sky_name(math.radians(22), 3.4) == "sky-25-3"
     assert {sky.sky_name(math.radians(e), t) for e in range(1, 90) for t in (2, 3, 6)} == set(sky.SKIES) - {

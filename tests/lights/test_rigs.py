@@ -72,7 +72,7 @@ def test_lamps_have_a_free_line_of_sight_and_hang_above_the_table(
         for light in rig.lights:
             if isinstance(light, PointLight | SpotLight | AreaLight):
                 where = light.world_from_light if isinstance(light, AreaLight) else None
-                position = np.array(light.position) if where is None else np.array(where)[:3, 3]  # type: ignore[union-attr]
+                position = np.array(light.position) if where is None else np.array(where)[:3, 3]
                 assert position[2] > place.foot[2]
                 assert place.seen_share(position) >= 0.6
                 assert 0.3 < np.linalg.norm(position - place.foot) < 4.5

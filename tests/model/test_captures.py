@@ -119,7 +119,7 @@ def test_depth_from_a_model(capture: Capture, tmp_path: Path) -> None:
     """The "model" reads inverse depth off the red channel, in a scale and with a shift of its own."""
     from onnx import TensorProto, helper, save
 
-    shape = [1, 3, "height", "width"]
+    shape: list[int | str | None] = [1, 3, "height", "width"]
     nodes = [
         helper.make_node("Gather", ["image", "first"], ["red"], axis=1),
         helper.make_node("Add", ["red", "shift"], ["depth"]),

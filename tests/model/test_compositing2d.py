@@ -216,11 +216,12 @@ def test_faint_changes_far_from_the_object_are_none() -> None:
     composite, background, depth = pictures(64, 64)
     mask = soft_mask(composite, background)
     network = Compositing2D(TINY)
+    bias = network.head.get_parameter("bias")
     with torch.no_grad():
-        network.head.bias[6:9] = 0.9 * LEAST_LOG_GAIN
-        network.head.bias[9:] = -0.9 * LEAST_OFFSET
+        bias[6:9] = 0.9 * LEAST_LOG_GAIN
+        bias[9:] = -0.9 * LEAST_OFFSET
         assert (network.train()(composite, background, depth, mask) != composite).any()
         torch.testing.assert_close(network.eval()(composite, background, depth, mask), composite, atol=1e-5, rtol=0)
-        network.head.bias[6:9] = 3 * LEAST_LOG_GAIN
+        bias[6:9] = 3 * LEAST_LOG_GAIN
         outside = (mask == 0).expand_as(composite)
         assert (network.eval()(composite, background, depth, mask) > composite + 1e-3)[outside].float().mean() > 0.9

@@ -26,7 +26,7 @@ from multilight.scenes.colour import luminance, srgb_encode
 from multilight.scenes.spec import Sphere
 from tests import ROOT
 
-SMALL = {"split": None, "visible": 5.0, "size": 32}
+SMALL: dict[str, Any] = {"split": None, "visible": 5.0, "size": 32}
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -123,7 +123,7 @@ def test_workers_change_nothing_and_learn_of_epochs(packed: Path, workers: int) 
 
 def test_distributed_sampler_shares_out(packed: Path) -> None:
     data = opened(packed, length=20)
-    seen = [list(DistributedSampler(data, num_replicas=2, rank=rank)) for rank in (0, 1)]
+    seen: list[list[int]] = [list(DistributedSampler(data, num_replicas=2, rank=rank)) for rank in (0, 1)]
     assert sorted(seen[0] + seen[1]) == list(range(20))
     batch = next(iter(DataLoader(data, batch_size=4, sampler=DistributedSampler(data, num_replicas=2, rank=1))))
     assert batch["target"].shape == (4, 3, 32, 32)

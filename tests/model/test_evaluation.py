@@ -14,10 +14,17 @@ from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.store import read_scene, scene_dir
 from multilight.lights.conditions import WHITE
 from multilight.lights.display.tonemap import tone_curve
-from multilight.lights.spec import AreaLight, EmissiveLight, LightRig, PointLight, SunLight
+from multilight.lights.spec import AreaLight, EmissiveLight, Light, LightRig, PointLight, SunLight
 from multilight.model.cli import COMMANDS
 from multilight.model.configs.stage2d import NetworkConfig
-from multilight.model.evaluation.cases import CaseSettings, Group, dataset_groups, light_fractions, subsets_of
+from multilight.model.evaluation.cases import (
+    CaseSettings,
+    Group,
+    LazyGroup,
+    dataset_groups,
+    light_fractions,
+    subsets_of,
+)
 from multilight.model.evaluation.consistency import disagreement, sample, shared_pairs, shared_pixels
 from multilight.model.evaluation.page import Table
 from multilight.model.evaluation.run import evaluate, methods_of, peak_memory
@@ -89,8 +96,8 @@ def test_light_fractions_are_those_of_the_target(spheres_dataset: Path) -> None:
     }
 
 
-def with_rig(record: SceneRecord, *lights: object) -> SceneRecord:
-    return record.model_copy(update={"rig": LightRig(lights=lights)})  # type: ignore[arg-type]
+def with_rig(record: SceneRecord, *lights: Light) -> SceneRecord:
+    return record.model_copy(update={"rig": LightRig(lights=lights)})
 
 
 def test_subsets(record: SceneRecord) -> None:
@@ -170,13 +177,17 @@ def test_lookup_is_bilinear() -> None:
     np.testing.assert_allclose(sample(picture, np.array([[1.0, 0.5], [1.5, 0.5]])), [[0.5] * 3, [1.0] * 3])
 
 
+def given(group: Group) -> LazyGroup:
+    return lambda: group
+
+
 def test_a_perfect_model_wins_everywhere(groups: list[Group]) -> None:
     targets = {case.composite.tobytes(): case.target for group in groups for case in group.cases}
     models = {
         "perfect": lambda composite, background, depth, mask: targets[composite.tobytes()],
         "dull": lambda composite, background, depth, mask: background,
     }
-    found = evaluate([lambda g=g: g for g in groups], methods_of(models))
+    found = evaluate([given(group) for group in groups], methods_of(models))
     both = "object and effect"
     assert found.means("perfect")[both]["PSNR"] == 60.0
     for method in found.methods[:-2] + ("dull",):

@@ -29,7 +29,7 @@ def network(head: str, *, random: bool = True) -> Compositing2D:
     made = Compositing2D(NetworkConfig(head=head, **SMALL))
     if random:
         torch.nn.init.normal_(made.head.weight, std=0.02)
-        torch.nn.init.normal_(made.head.bias, std=0.1)
+        torch.nn.init.normal_(made.head.get_parameter("bias"), std=0.1)
     return made.eval()
 
 

@@ -226,7 +226,7 @@ def random_network() -> Compositing2D:
     torch.manual_seed(0)
     made = Compositing2D(NETWORK)
     torch.nn.init.normal_(made.head.weight, std=0.05)
-    torch.nn.init.normal_(made.head.bias, std=0.1)
+    torch.nn.init.normal_(made.head.get_parameter("bias"), std=0.1)
     return made.eval()
 
 

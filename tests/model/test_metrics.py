@@ -1,6 +1,7 @@
 """Metrics against closed forms, torchmetrics and the FLIP evaluator's own mean."""
 
 from pathlib import Path
+from typing import Literal
 
 import flip_evaluator
 import numpy as np
@@ -60,7 +61,9 @@ def test_whole_image_agrees_with_the_usual_definitions(pair: tuple[np.ndarray, n
     scores = measure(picture, truth, regions)["image"]
     a, b = (torch.from_numpy(x.transpose(2, 0, 1).copy())[None] for x in pair)
     assert scores["PSNR"] == pytest.approx(float(peak_signal_noise_ratio(a, b, data_range=1.0)), abs=1e-3)
-    assert scores["SSIM"] == pytest.approx(float(structural_similarity_index_measure(a, b, data_range=1.0)), abs=1e-5)
+    ssim = structural_similarity_index_measure(a, b, data_range=1.0)
+    assert isinstance(ssim, torch.Tensor)
+    assert scores["SSIM"] == pytest.approx(float(ssim), abs=1e-5)
     _, mean, _ = flip_evaluator.evaluate(truth, picture, "LDR", inputsRGB=True)
     assert scores["FLIP"] == pytest.approx(mean, abs=1e-5)
 
@@ -141,7 +144,7 @@ def _features(net: str) -> nn.Sequential:
 @pytest.mark.parametrize(("net", "short"), [("vgg16", "vgg"), ("alexnet", "alex")])
 def test_lpips_agrees_with_torchmetrics(
     net: str,
-    short: str,
+    short: Literal["vgg", "alex"],
     pair: tuple[np.ndarray, np.ndarray],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,

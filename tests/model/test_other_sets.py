@@ -139,6 +139,7 @@ def test_prepared_owl(tmp_path: Path) -> None:
     assert case.name == "scene_00000"
     assert case.fit_exposure
     assert np.count_nonzero((case.mask > 0.5) != (block() > 0)) < 20
+    assert case.target is not None
     assert np.abs(case.background - case.target)[15:20, 20:28].mean() > 0.05
 
 

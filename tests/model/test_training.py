@@ -111,11 +111,11 @@ def test_going_on_with_another_configuration_is_refused(spheres_dataset: Path, t
 def test_by_the_clock(spheres_dataset: Path, tmp_path: Path) -> None:
     chosen = config(spheres_dataset, tmp_path, steps=None, minutes=0.02)
     train(chosen)
-    progress = json.loads(newest_checkpoint(tmp_path / "checkpoints").read_text())["progress"]  # type: ignore[union-attr]
+    progress = json.loads(newest_checkpoint(tmp_path / "checkpoints").read_text())["progress"]
     assert 1.2 <= progress["seconds"] < 10
     assert progress["step"] > 0
     train(chosen)  # nothing left to do
-    assert json.loads(newest_checkpoint(tmp_path / "checkpoints").read_text())["progress"] == progress  # type: ignore[union-attr]
+    assert json.loads(newest_checkpoint(tmp_path / "checkpoints").read_text())["progress"] == progress
 
 
 def test_batches_are_pure_functions_of_the_step(spheres_dataset: Path, tmp_path: Path) -> None:

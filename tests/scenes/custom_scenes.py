@@ -21,8 +21,8 @@ LENGTH, DEPTH, HEIGHT = 5.0, 4.0, 2.6
 TABLE = (1.4, 0.8, 0.75)
 Y_UP = rotation_matrix(-np.pi / 2, [1, 0, 0])
 
-OAK = Image.fromarray(np.tile(np.uint8([[[150, 110, 70]]]), (8, 8, 1)))
-PACKED = Image.fromarray(np.tile(np.uint8([[[0, 153, 0]]]), (8, 8, 1)))
+OAK = Image.fromarray(np.tile(np.array([[[150, 110, 70]]], np.uint8), (8, 8, 1)))
+PACKED = Image.fromarray(np.tile(np.array([[[0, 153, 0]]], np.uint8), (8, 8, 1)))
 """Green is roughness, 0.6; blue is metallic, 0."""
 
 

@@ -106,6 +106,7 @@ def test_listing_is_sorted_and_quick(library: AssetLibrary) -> None:
 def test_sizes_are_those_of_the_meshes(library: AssetLibrary) -> None:
     for info in library.list("table"):
         low, high = library.mesh(info.id).bounds()
+        assert info.size is not None
         assert np.allclose(high - low, info.size, atol=1e-4), info.id
 
 

@@ -1,6 +1,7 @@
 """Cameras: inverses, conventions, rays, and depth carried from view to view."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -42,11 +43,14 @@ from multilight.scenes.kinds.tabletop import TabletopSettings, sample_tabletop
 from multilight.scenes.spec import Body, Camera, Material, SceneSpec, Sphere
 from multilight.scenes.streams import Streams
 
+Depths = tuple[list[np.ndarray], tuple[Camera, ...]]
+StillLifes = tuple[str, list[SceneSpec]]
+
 coordinate = st.floats(-5, 5)
 
 
 @st.composite
-def cameras(draw) -> Camera:
+def cameras(draw: st.DrawFn) -> Camera:
     eye = np.array([draw(coordinate), draw(coordinate), draw(coordinate)])
     azimuth, elevation = draw(st.floats(-3.1, 3.1)), draw(st.floats(-1.4, 1.4))
     ahead = [math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation)]
@@ -60,7 +64,7 @@ def cameras(draw) -> Camera:
 
 
 @given(camera=cameras(), seed=st.integers(0, 99))
-def test_project_undoes_unproject(camera, seed):
+def test_project_undoes_unproject(camera: Camera, seed: int) -> None:
     depth = np.random.default_rng(seed).uniform(0.1, 20, (camera.height, camera.width))
     pixels, z_depth = project(camera, unproject(camera, depth).reshape(-1, 3))
     np.testing.assert_allclose(z_depth, depth.ravel(), rtol=1e-9)
@@ -69,7 +73,7 @@ def test_project_undoes_unproject(camera, seed):
 
 
 @given(camera=cameras())
-def test_rays_meet_unprojected_points_at_the_ray_distance(camera):
+def test_rays_meet_unprojected_points_at_the_ray_distance(camera: Camera) -> None:
     depth = np.full((camera.height, camera.width), 3.0)
     origins, directions = pixel_rays(camera)
     distance = ray_distance_from_z_depth(camera, depth)
@@ -80,7 +84,7 @@ def test_rays_meet_unprojected_points_at_the_ray_distance(camera):
 
 
 @given(camera=cameras())
-def test_poses_are_rigid_and_opencv_conversion_is_its_own_inverse(camera):
+def test_poses_are_rigid_and_opencv_conversion_is_its_own_inverse(camera: Camera) -> None:
     pose = camera.pose()
     np.testing.assert_allclose(pose[:3, :3].T @ pose[:3, :3], np.eye(3), atol=1e-9)
     assert np.linalg.det(pose[:3, :3]) == pytest.approx(1)
@@ -88,7 +92,7 @@ def test_poses_are_rigid_and_opencv_conversion_is_its_own_inverse(camera):
 
 
 @given(camera=cameras(), point=st.tuples(coordinate, coordinate, coordinate))
-def test_projection_equals_k_times_the_opencv_pose(camera, point):
+def test_projection_equals_k_times_the_opencv_pose(camera: Camera, point: tuple[float, float, float]) -> None:
     pixels, z_depth = project(camera, [point])
     x = np.linalg.inv(opencv_from_opengl(camera.pose())) @ [*point, 1.0]
     assert z_depth[0] == pytest.approx(x[2], abs=1e-9)
@@ -99,7 +103,7 @@ def test_projection_equals_k_times_the_opencv_pose(camera, point):
         assert np.isnan(pixels).all()
 
 
-def test_axes_of_a_known_camera():
+def test_axes_of_a_known_camera() -> None:
     camera = camera_from_fov(look_at((0, -2, 0), (0, 0, 0)), width=4, height=2, fov=math.pi / 2)
     assert (camera.fx, camera.fy) == pytest.approx((2.0, 2.0))
     # One metre to the right is +X in the world, and to the right in the picture; up is up.
@@ -108,7 +112,7 @@ def test_axes_of_a_known_camera():
     np.testing.assert_allclose(z_depth, 2.0)
 
 
-def test_field_of_view_spans_the_longer_side():
+def test_field_of_view_spans_the_longer_side() -> None:
     pose = look_at((0, -1, 0), (0, 0, 0))
     wide = camera_from_fov(pose, width=300, height=100, fov=1.0)
     tall = camera_from_fov(pose, width=100, height=300, fov=1.0)
@@ -128,13 +132,13 @@ def test_field_of_view_spans_the_longer_side():
         (lambda: camera_from_fov(np.eye(3), width=4, height=4, fov=1.0), "4x4"),
     ],
 )
-def test_impossible_cameras_are_refused(call, words):
+def test_impossible_cameras_are_refused(call: Callable[[], object], words: str) -> None:
     with pytest.raises(ValueError, match=words):
         call()
 
 
 @pytest.fixture(scope="module")
-def depths():
+def depths() -> Depths:
     scene = sample_spheres(Streams(3, 0), index=0, width=96, height=96, views=6)
     rig = LightRig(lights=(EnvironmentLight(name="sky"),))
     with AnalyticBackend() as backend:
@@ -142,7 +146,7 @@ def depths():
     return [stack.geometry.z_depth for stack in stacks], scene.cameras
 
 
-def test_true_depth_agrees_from_every_view_to_every_other(depths):
+def test_true_depth_agrees_from_every_view_to_every_other(depths: Depths) -> None:
     z, cameras = depths
     for i in range(6):
         for j in range(6):
@@ -152,7 +156,7 @@ def test_true_depth_agrees_from_every_view_to_every_other(depths):
             assert found.median_relative_error < 1e-4, (i, j, found)
 
 
-def test_wrong_depth_or_pose_is_found(depths):
+def test_wrong_depth_or_pose_is_found(depths: Depths) -> None:
     z, cameras = depths
     ray = ray_distance_from_z_depth(cameras[0], z[0]).astype(np.float32)
     moved = look_at(cameras[0].pose()[:3, 3] + [0.0, 0.05, 0.0], (0.0, 0.05, 0.1))
@@ -163,7 +167,7 @@ def test_wrong_depth_or_pose_is_found(depths):
         assert min(found.consistent, back.consistent) < 0.95 or found.median_relative_error > 5e-3, found
 
 
-def test_hidden_points_do_not_count_and_impossible_ones_do():
+def test_hidden_points_do_not_count_and_impossible_ones_do() -> None:
     camera = camera_from_fov(look_at((0, -2, 0), (0, 0, 0)), width=16, height=16, fov=1.0)
     far, near = np.full((16, 16), 3.0), np.full((16, 16), 1.0)
     assert reprojection_error(far, camera, near, camera).compared == 0
@@ -173,7 +177,7 @@ def test_hidden_points_do_not_count_and_impossible_ones_do():
     assert reprojection_error(far, camera, far, camera).median_relative_error == pytest.approx(0, abs=1e-12)
 
 
-def test_depth_of_the_wrong_shape_is_refused():
+def test_depth_of_the_wrong_shape_is_refused() -> None:
     camera = camera_from_fov(np.eye(4), width=8, height=4, fov=1.0)
     with pytest.raises(ValueError, match=r"\(8, 4\).*4 x 8"):
         unproject(camera, np.ones((8, 4)))
@@ -194,7 +198,7 @@ def library() -> AssetLibrary:
 
 
 @pytest.fixture(scope="module", params=KINDS)
-def still_lifes(request, library):
+def still_lifes(request: pytest.FixtureRequest, library: AssetLibrary) -> StillLifes:
     cameras = CameraSettings(trajectories=only(request.param), depth_of_field=1.0)
     settings = TabletopSettings(width=96, height=64, views=8, cameras=cameras)
     scenes = [sample_tabletop(Streams(21, i), library, index=i, settings=settings) for i in range(4)]
@@ -209,7 +213,7 @@ def around(scene: SceneSpec, library: AssetLibrary) -> np.ndarray:
     return np.stack([np.unwrap(np.arctan2(away[:, 1], away[:, 0])), np.linalg.norm(away, axis=1)])
 
 
-def test_every_insertable_is_seen_in_the_stated_share_of_views(still_lifes, library):
+def test_every_insertable_is_seen_in_the_stated_share_of_views(still_lifes: StillLifes, library: AssetLibrary) -> None:
     _, scenes = still_lifes
     for scene in scenes:
         rays = SceneRays(scene.bodies, library)
@@ -222,9 +226,10 @@ def test_every_insertable_is_seen_in_the_stated_share_of_views(still_lifes, libr
                 assert sum(shown) >= 0.7 * len(scene.cameras) - 1, (scene.index, body.name)
 
 
-def test_lenses_stay_in_range_and_objects_keep_their_size(still_lifes, library):
+def test_lenses_stay_in_range_and_objects_keep_their_size(still_lifes: StillLifes, library: AssetLibrary) -> None:
     _, scenes = still_lifes
-    sizes, near = [], []
+    sizes: list[float] = []
+    near: list[float] = []
     for scene in scenes:
         points = np.concatenate([body_triangles(b, library)[0] for b in scene.bodies if b.role == "object"])
         for number, camera in enumerate(scene.cameras):
@@ -239,7 +244,7 @@ def test_lenses_stay_in_range_and_objects_keep_their_size(still_lifes, library):
     assert max(near, default=0.0) < 12.0
 
 
-def test_kinds_move_as_their_name_says(still_lifes, library):
+def test_kinds_move_as_their_name_says(still_lifes: StillLifes, library: AssetLibrary) -> None:
     kind, scenes = still_lifes
     for scene in scenes:
         azimuth, distance = around(scene, library)
@@ -258,7 +263,7 @@ def test_kinds_move_as_their_name_says(still_lifes, library):
             assert steps.max() > 15
 
 
-def test_handheld_wobble_is_smooth_and_random_is_not():
+def test_handheld_wobble_is_smooth_and_random_is_not() -> None:
     framing = Framing(close=0.3, distant=0.6, front=0.0, opening=1.0)
     rng = np.random.default_rng(3)
     rough = {}
@@ -269,7 +274,7 @@ def test_handheld_wobble_is_smooth_and_random_is_not():
     assert rough["random"] > 0.2
 
 
-def test_distance_follows_the_lens():
+def test_distance_follows_the_lens() -> None:
     framing = Framing(close=0.3, distant=0.6, front=0.0, opening=np.pi)
     path = draw_path(np.random.default_rng(0), "random", framing, views=6, lens_mm=(24, 85))
     for view in range(6):
@@ -281,14 +286,14 @@ def test_distance_follows_the_lens():
         assert math.asin(path.framed[view] / np.linalg.norm(eye - aim)) == pytest.approx(half)
 
 
-def test_trajectories_come_as_often_as_stated():
+def test_trajectories_come_as_often_as_stated() -> None:
     settings = CameraSettings(trajectories=TrajectoryShares(approach=0.5, orbit=0.3, handheld=0.2, random=0))
     rng = np.random.default_rng(0)
-    drawn = [choose_trajectory(rng, settings) for _ in range(600)]
+    drawn: list[str] = [choose_trajectory(rng, settings) for _ in range(600)]
     assert [drawn.count(kind) / 600 for kind in KINDS] == pytest.approx([0.5, 0.3, 0.2, 0.0], abs=0.06)
 
 
-def test_open_lenses_are_focused_on_an_insertable(still_lifes, library):
+def test_open_lenses_are_focused_on_an_insertable(still_lifes: StillLifes, library: AssetLibrary) -> None:
     _, scenes = still_lifes
     for scene in scenes:
         middles = [np.mean(np.stack([v.min(0), v.max(0)]), axis=0) for v in
@@ -300,7 +305,7 @@ def test_open_lenses_are_focused_on_an_insertable(still_lifes, library):
             assert np.abs(depth - camera.focus_distance).min() < 0.08
 
 
-def test_circle_of_confusion_of_a_known_lens():
+def test_circle_of_confusion_of_a_known_lens() -> None:
     pinhole = camera_from_lens(np.eye(4), width=3600, height=2400, focal_length_mm=50)
     camera = with_depth_of_field(pinhole, f_number=2.0, focus_distance=2.0)
     assert camera.aperture_radius == pytest.approx(0.0125)
@@ -311,7 +316,7 @@ def test_circle_of_confusion_of_a_known_lens():
         with_depth_of_field(pinhole, f_number=0, focus_distance=1)
 
 
-def test_cycles_spreads_a_spark_over_the_circle_of_confusion(library):
+def test_cycles_spreads_a_spark_over_the_circle_of_confusion(library: AssetLibrary) -> None:
     blender = pytest.importorskip("multilight.datagen.backends.blender")
     spark = Body(
         name="spark",

@@ -48,7 +48,7 @@ def lights_of(file: Path, cache: Path) -> dict[str, Light]:
 
 def extent(library: AssetLibrary, body: str) -> np.ndarray:
     found = plain_scene(library).body(body)
-    vertices = library.mesh(found.geometry.asset).vertices().astype(float)  # type: ignore[union-attr]
+    vertices = library.mesh(found.geometry.asset).vertices().astype(float)
     moved = vertices + np.array(found.world_from_body)[:3, 3]
     return np.array([moved.min(axis=0), moved.max(axis=0)])
 

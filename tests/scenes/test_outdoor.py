@@ -39,7 +39,7 @@ def test_what_is_there(scenes: list[SceneSpec], library: AssetLibrary) -> None:
         assert 1 <= len(large) <= 3
         for body in scene.bodies:
             if body.role == "object":
-                longest = max(library.info(body.geometry.asset).size or (0,))  # type: ignore[union-attr]
+                longest = max(library.info(body.geometry.asset).size or (0,))
                 assert LONGEST[0] <= longest <= LONGEST[1]
                 assert longest >= INSERTABLE or not body.insertable
 

@@ -16,6 +16,7 @@ from multilight.scenes.assets.splits import (
     ASSET_SHARES,
     FITTINGS,
     SPLITS,
+    Split,
     SplitShares,
     asset_split,
     in_split,
@@ -58,16 +59,16 @@ def test_categories_out_of_domain_are_whole(library: AssetLibrary) -> None:
 
 
 @pytest.mark.parametrize("split", SPLITS)
-def test_builtin_assets_alone_fill_every_split(split: str) -> None:
+def test_builtin_assets_alone_fill_every_split(split: Split) -> None:
     view = AssetLibrary(packs=("builtin",)).restricted(split)
-    objects = [i for i in view.list("object") if SMALLEST <= max(i.size) <= LARGEST]
-    fit = [i for i in objects if INSERTABLE[0] <= max(i.size) <= INSERTABLE[1] and sorted(i.size)[1] >= THIN]
-    assert len(objects) >= 8
+    sizes = {i.id: i.size for i in view.list("object") if i.size and SMALLEST <= max(i.size) <= LARGEST}
+    fit = [s for s in sizes.values() if INSERTABLE[0] <= max(s) <= INSERTABLE[1] and sorted(s)[1] >= THIN]
+    assert len(sizes) >= 8
     assert len(fit) >= 5
-    assert any(i.size[2] >= TALL for i in fit)
-    assert any(max(i.size) <= SMALL for i in fit)
-    assert any(i.emissive_part for i in objects)
-    assert any(0.3 <= i.size[2] <= 1.6 for i in view.list("table"))
+    assert any(size[2] >= TALL for size in fit)
+    assert any(max(size) <= SMALL for size in fit)
+    assert any(view.info(name).emissive_part for name in sizes)
+    assert any(i.size and 0.3 <= i.size[2] <= 1.6 for i in view.list("table"))
     assert view.list("environment")
     assert view.list("texture")
 
@@ -114,7 +115,7 @@ def test_a_view_hands_out_no_foreign_asset(library: AssetLibrary) -> None:
 @given(seed=st.integers(0, 2**32 - 1), start=st.integers(0, 10_000))
 def test_any_run_of_scenes_holds_the_shares(seed: int, start: int) -> None:
     shares = SplitShares(train=0.7, val=0.1, test=0.1, test_ood=0.1)
-    found = Counter(scene_split(seed, start + i, shares) for i in range(200))
+    found: Counter[str] = Counter(scene_split(seed, start + i, shares) for i in range(200))
     for split, share in shares.model_dump().items():
         assert abs(found[split] - 200 * share) <= 5
 
@@ -133,7 +134,7 @@ def test_kinds_follow_their_shares_inside_every_split() -> None:
         ood_kinds=("outdoor",),
         kinds={"tabletop": 0.5, "room": 0.3, "studio": 0.2, "outdoor": 0.0},
     )
-    kinds = defaultdict(Counter)
+    kinds: dict[str, Counter[str]] = defaultdict(Counter)
     for index in range(1000):
         kinds[config.split_of(index)][config.kind_of(index)] += 1
     assert set(kinds["test_ood"]) == {"outdoor"}
@@ -149,7 +150,7 @@ def test_sampled_scenes_leak_nothing(library: AssetLibrary) -> None:
     config = DatasetConfig(
         seed=11, width=64, height=48, views=2, splits=SplitShares(train=0.4, val=0.2, test=0.2, test_ood=0.2)
     )
-    shown = defaultdict(set)
+    shown: dict[str, set[str]] = defaultdict(set)
     for index in range(SCENES):
         scene, rig = sample_scene(config, library, Streams(config.seed, index))
         shown[config.split_of(index)] |= owned_by(scene, rig, library)

@@ -99,13 +99,13 @@ def test_counts_sizes_and_names(scenes: list[SceneSpec], library: AssetLibrary) 
         objects = of_role(scene, "object")
         assert 3 <= len(objects) <= 8
         assert len(scene.insertable) == 3
-        assert len({body.geometry.asset for body in objects}) == len(objects)  # type: ignore[union-attr]
+        assert len({body.geometry.asset for body in objects}) == len(objects)
         heights = [np.ptp(body_triangles(body, library)[0], axis=0) for body in objects]
         assert max(extent[2] for extent in heights) > 0.15
         assert min(extent.max() for extent in heights) < 0.15
         for body in objects:
             if body.insertable:
-                size = library.info(body.geometry.asset).size  # type: ignore[union-attr]
+                size = library.info(body.geometry.asset).size
                 assert size is not None
                 assert INSERTABLE[0] <= max(size) <= INSERTABLE[1]
 
@@ -180,7 +180,7 @@ def test_emissive_share_is_about_a_third(library: AssetLibrary) -> None:
     assert 3 <= sum(found is not None for found in glowing) <= 17
     for scene, found in zip(drawn, glowing, strict=True):
         if found is not None:
-            assert library.info(scene.body(found[0]).geometry.asset).emissive_part  # type: ignore[union-attr]
+            assert library.info(scene.body(found[0]).geometry.asset).emissive_part
 
 
 def test_diffuse_glossy_and_metal_all_occur(scenes: list[SceneSpec]) -> None:

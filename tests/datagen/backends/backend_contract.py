@@ -166,6 +166,7 @@ def check_foreground_is_the_object_alone(render: Render, tolerance: Tolerance) -
     everything, seen = render(job()), reference(still_life(), oblique_camera())
     for name in ("near", "far"):
         stack = render(job(f"foreground_{name}"))
+        assert stack.coverage is not None
         inside, outside = stack.coverage == 1, stack.coverage == 0
         mine = seen.ids == still_life().instance_id(name)
         assert stack.coverage.min() >= 0

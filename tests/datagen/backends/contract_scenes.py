@@ -6,6 +6,7 @@ Colours differ in every channel, so that a swapped channel shows.
 import math
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
@@ -23,6 +24,7 @@ from multilight.lights.spec import (
 )
 from multilight.scenes.assets.builtin.textures.gobos import make_gobo
 from multilight.scenes.cameras.pinhole import camera_from_fov, look_at, matrix4, pixel_rays
+from multilight.scenes.frozen import Rgb
 from multilight.scenes.spec import Body, Camera, Material, Rectangle, SceneSpec, Sphere
 
 SIZE = 48
@@ -39,7 +41,7 @@ def placed(x: float, y: float, z: float) -> np.ndarray:
     return pose
 
 
-def body(name: str, shape: Sphere | Rectangle, pose: np.ndarray, colour=(0.5, 0.5, 0.5), **more) -> Body:
+def body(name: str, shape: Sphere | Rectangle, pose: np.ndarray, colour: Rgb = (0.5, 0.5, 0.5), **more: Any) -> Body:
     # An index of refraction of 1 leaves a principled surface purely diffuse.
     material = Material(base_color=colour, roughness=1.0, ior=1.0)
     fields = {"role": "object", "category": "test", "insertable": False} | more
@@ -154,7 +156,8 @@ def gobo_transmission(light: SpotLight, points: np.ndarray) -> np.ndarray:
 
     Written out for itself: right, up and the image's rows from the spec's words alone.
     """
-    image = np.pad(make_gobo(light.gobo.removeprefix("builtin/")) / 255, 1, mode="edge")
+    gobo = np.asarray(make_gobo((light.gobo or "").removeprefix("builtin/")), np.float64)
+    image = np.pad(gobo / 255, 1, mode="edge")
     axis = np.array(light.direction) / math.hypot(*light.direction)
     level = np.cross(axis, (0, 0, 1.0)) / np.linalg.norm(np.cross(axis, (0, 0, 1.0)))
     steep = np.cross(level, axis)

@@ -1,5 +1,6 @@
 """Mitsuba backend: random numbers, who gets how many samples, and what they add up to."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -32,7 +33,7 @@ from multilight.datagen.backends.mitsuba.film import Film
 from multilight.datagen.backends.mitsuba.sampling import Sampler, stream_of
 
 
-def test_points_are_those_of_sobol():
+def test_points_are_those_of_sobol() -> None:
     """Before they are scrambled: against SciPy's, which takes the same points in the order of a Gray code."""
     number = np.arange(256, dtype=np.uint32)
     second = np.array(dr.brev(sampling._second(mi.UInt32(number)))) / 2.0**32
@@ -41,7 +42,7 @@ def test_points_are_those_of_sobol():
     np.testing.assert_array_equal(np.stack([first, second], axis=1), expected[_place_in_gray_code(number)])
 
 
-def _place_in_gray_code(number):
+def _place_in_gray_code(number: np.ndarray) -> np.ndarray:
     place = number.copy()
     for shift in (1, 2, 4, 8, 16):
         place ^= place >> shift
@@ -49,7 +50,7 @@ def _place_in_gray_code(number):
 
 
 @pytest.mark.parametrize("first", [0, 16, 48])
-def test_any_block_of_samples_is_well_distributed(first):
+def test_any_block_of_samples_is_well_distributed(first: int) -> None:
     """Sixteen samples from a multiple of sixteen on: one in each of 16 boxes of area 1/16, whatever their shape."""
     pixels, count = 500, 16
     lane = dr.arange(mi.UInt32, pixels * count)
@@ -60,14 +61,14 @@ def test_any_block_of_samples_is_well_distributed(first):
         np.testing.assert_array_equal(np.sort(boxes, axis=1), np.broadcast_to(np.arange(16), boxes.shape))
 
 
-def test_drawing_numbers_changes_no_argument():
+def test_drawing_numbers_changes_no_argument() -> None:
     order = mi.UInt32([1, 2, 3])
     sampling._owen(order, mi.UInt32(5))
     sampling._second(order)
     np.testing.assert_array_equal(np.array(order), [1, 2, 3])
 
 
-def test_film_adds_up_each_pixels_blocks():
+def test_film_adds_up_each_pixels_blocks() -> None:
     """Also those of several calls, of which one gives some pixels nothing."""
     rng = np.random.default_rng(0)
     film, total, samples = Film(3, 4), np.zeros((12, 3)), np.zeros(12)
@@ -81,14 +82,16 @@ def test_film_adds_up_each_pixels_blocks():
     np.testing.assert_allclose(film.mean(("all", ""))[0], (total / samples[:, None]).reshape(3, 4, 3), rtol=1e-6)
 
 
-def pilot(grey, guides):
+def pilot(grey: np.ndarray, guides: np.ndarray) -> Pilot:
     """What blocks (L, H, W, FIRST) of layers that have no hue tell."""
     colours = np.repeat(grey[..., None], 3, axis=-1)
     variance = colours.var(axis=3, ddof=1).sum(axis=(0, -1))
     return Pilot(colours.mean(axis=3).sum(axis=(0, -1)), variance, guides.astype(np.float32))
 
 
-def shared_out(grey, guides, spp, cost=1.0, *others):
+def shared_out(
+    grey: np.ndarray, guides: np.ndarray, spp: int, cost: float | np.ndarray = 1.0, *others: Pilot
+) -> np.ndarray:
     """Share out the rest of `spp` samples; returns each pixel's samples, (H, W)."""
     height, width, _ = guides.shape
     first = first_blocks(height * width, spp)
@@ -107,7 +110,7 @@ def _is_followed(first: Blocks, further: Blocks) -> None:
 
 
 @pytest.mark.parametrize("spp", [8, 16, 24, 100])
-def test_samples_go_where_it_is_noisy(spp):
+def test_samples_go_where_it_is_noisy(spp: int) -> None:
     rng = np.random.default_rng(1)
     noise = np.where(np.arange(64) < 32, 0.02, 0.2)[:, None]
     grey = 1 + noise * rng.standard_normal((2, 48, 64, FIRST)).astype(np.float32)
@@ -118,7 +121,7 @@ def test_samples_go_where_it_is_noisy(spp):
     assert samples[:, 36:].mean() > 1.5 * samples[:, :28].mean()
 
 
-def test_samples_go_where_a_denoiser_finds_little_that_looks_alike():
+def test_samples_go_where_a_denoiser_finds_little_that_looks_alike() -> None:
     rng = np.random.default_rng(2)
     grey = 1 + 0.1 * rng.standard_normal((1, 48, 64, FIRST))
     guides = np.zeros((48, 64, 6))
@@ -127,7 +130,7 @@ def test_samples_go_where_a_denoiser_finds_little_that_looks_alike():
     assert samples[:, 36:].mean() > 1.3 * samples[:, :28].mean()
 
 
-def test_samples_go_where_a_background_is_noisy_that_an_object_hides():
+def test_samples_go_where_a_background_is_noisy_that_an_object_hides() -> None:
     """What lies behind a smooth object is seen in the variant without it, and is to be no noisier there."""
     rng = np.random.default_rng(6)
     noise = 0.1 * rng.standard_normal((1, 48, 64, FIRST))
@@ -144,7 +147,7 @@ def test_samples_go_where_a_background_is_noisy_that_an_object_hides():
     assert samples[inner].mean() == pytest.approx(samples[outer].mean(), rel=0.05)
 
 
-def test_film_tells_the_variance_of_blocks_in_every_channel():
+def test_film_tells_the_variance_of_blocks_in_every_channel() -> None:
     """Noise of hue alone counts: the channels' variances are added, not taken of their mean."""
     rng = np.random.default_rng(7)
     sums = rng.random((3, 12, FIRST)).astype(np.float32)
@@ -156,7 +159,7 @@ def test_film_tells_the_variance_of_blocks_in_every_channel():
     np.testing.assert_allclose(variance.ravel(), sums.var(axis=-1, ddof=1).sum(axis=0), rtol=1e-4)
 
 
-def test_costly_pixels_get_fewer_samples_and_all_cost_what_was_asked_for():
+def test_costly_pixels_get_fewer_samples_and_all_cost_what_was_asked_for() -> None:
     grey = 1 + 0.1 * np.random.default_rng(4).standard_normal((1, 48, 64, FIRST))
     cost = np.where(np.arange(64) < 32, 1.0, 4.0) * np.ones((48, 1))
     samples = shared_out(grey, np.zeros((48, 64, 6)), 64, cost)
@@ -164,7 +167,7 @@ def test_costly_pixels_get_fewer_samples_and_all_cost_what_was_asked_for():
     assert (samples * cost).sum() == pytest.approx(64 * cost.sum(), rel=0.03)
 
 
-def test_a_pixels_own_noise_brings_it_no_samples():
+def test_a_pixels_own_noise_brings_it_no_samples() -> None:
     """Else its mean would be biased: rare bright paths would bring more samples, which water them down."""
     grey = np.ones((1, 16, 16, FIRST))
     grey += 0.1 * np.random.default_rng(3).standard_normal(grey.shape)
@@ -175,26 +178,26 @@ def test_a_pixels_own_noise_brings_it_no_samples():
     assert changed[8, 7] > 1.2 * need[8, 7]  # but its neighbours get more
 
 
-def test_what_is_not_a_number_stops_nothing():
+def test_what_is_not_a_number_stops_nothing() -> None:
     grey = np.ones((1, 16, 16, FIRST))
     grey[0, 3, 3, 0] = np.nan
     assert shared_out(grey, np.zeros((16, 16, 6)), 16).mean() == 16
 
 
-def test_few_samples_are_not_shared_out():
+def test_few_samples_are_not_shared_out() -> None:
     blocks = first_blocks(5, 7)
     assert (blocks.size, len(blocks)) == (7, 5)
 
 
 @pytest.fixture(scope="module")
-def backend(tmp_path_factory):
+def backend(tmp_path_factory: pytest.TempPathFactory) -> Iterator[MitsubaBackend]:
     library = AssetLibrary(cache=tmp_path_factory.mktemp("cache"), packs=("builtin",))
     with open_backend("mitsuba", library) as opened:
         assert isinstance(opened, MitsubaBackend)
         yield opened
 
 
-def test_as_many_samples_show_less_noise(backend, monkeypatch):
+def test_as_many_samples_show_less_noise(backend: MitsubaBackend, monkeypatch: pytest.MonkeyPatch) -> None:
     """As shown, where a mistake in the dark counts as much as one in the light, against as many for every pixel."""
     plain = job()
     converged = backend.render(replace(plain, settings=RenderSettings(spp=1024))).radiance.sum(axis=0)
@@ -207,7 +210,7 @@ def test_as_many_samples_show_less_noise(backend, monkeypatch):
             found.append(((stack.combined - converged) / (converged + converged.mean())) ** 2)
         return float(np.mean(found))
 
-    def _alike_for_all(need, cost, budget, most):
+    def _alike_for_all(need: np.ndarray, cost: np.ndarray, budget: float, most: float) -> np.ndarray:
         return np.full(need.shape, round(budget / cost.sum()))
 
     shared = error()

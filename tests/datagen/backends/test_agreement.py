@@ -5,6 +5,7 @@ Where a comparison fails, both pictures and their difference are written to the 
 """
 
 import importlib.util
+from collections.abc import Iterator
 from pathlib import Path
 
 import flip_evaluator
@@ -14,10 +15,11 @@ from PIL import Image
 
 from multilight.datagen.backends.choose import open_backend
 from multilight.datagen.backends.machine.variants import choose_variant
-from multilight.datagen.backends.protocol import RenderJob, RenderSettings
+from multilight.datagen.backends.protocol import Backend, RenderJob, RenderSettings
 from multilight.datagen.config.dataset import DatasetConfig
 from multilight.datagen.production.denoise import denoise_all
 from multilight.datagen.production.scene import sample_scene
+from multilight.datagen.storage.layers import GeometryBuffers
 from multilight.lights.display.tonemap import meter_ev, to_display
 from multilight.scenes.arrays import Float32
 from multilight.scenes.assets.library import AssetLibrary
@@ -38,7 +40,7 @@ CLIP = 0.999
 
 
 @pytest.fixture(scope="module")
-def renderers(tmp_path_factory):
+def renderers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Backend, Backend]]:
     library = AssetLibrary(cache=tmp_path_factory.mktemp("cache"), packs=("builtin",))
     with open_backend("mitsuba", library) as mitsuba, open_backend("cycles", library) as cycles:
         yield mitsuba, cycles
@@ -63,7 +65,7 @@ LEAST_DECIBELS = {"frosted": 32.0, "glass": 32.0, "metal": 32.0}
 
 
 @pytest.mark.parametrize("surface", SURFACES)
-def test_each_light_on_each_surface(renderers, surface, tmp_path):
+def test_each_light_on_each_surface(renderers: tuple[Backend, Backend], surface: str, tmp_path: Path) -> None:
     names = [name for name in LIGHTS if name != "uniform"]
     job = calibration_job(SURFACES[surface], tuple(LIGHTS[name] for name in names), SPP)
     ours, theirs = (backend.render(job) for backend in renderers)
@@ -77,7 +79,9 @@ def test_each_light_on_each_surface(renderers, surface, tmp_path):
     _same_geometry(ours.geometry, theirs.geometry)
 
 
-def _same_geometry(ours, theirs):
+def _same_geometry(ours: GeometryBuffers | None, theirs: GeometryBuffers | None) -> None:
+    assert ours is not None
+    assert theirs is not None
     assert np.mean(ours.instance_id == theirs.instance_id) > 0.99
     same = (ours.instance_id == theirs.instance_id) & (theirs.instance_id > 0)
     np.testing.assert_allclose(ours.z_depth[same], theirs.z_depth[same], rtol=2e-3)
@@ -89,7 +93,7 @@ def _same_geometry(ours, theirs):
 
 
 @pytest.mark.parametrize("seed", [1, 4])
-def test_sampled_tabletops(renderers, seed, tmp_path):
+def test_sampled_tabletops(renderers: tuple[Backend, Backend], seed: int, tmp_path: Path) -> None:
     """Whole scenes, denoised, so that what is left is not noise."""
     library = AssetLibrary(cache=tmp_path / "cache", packs=("builtin",))
     config = DatasetConfig(seed=seed, width=96, height=96, views=4)

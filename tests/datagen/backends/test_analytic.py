@@ -11,7 +11,8 @@ from multilight.datagen.backends.analytic import AnalyticBackend
 from multilight.datagen.backends.analytic.lighting import spot_falloff
 from multilight.datagen.backends.analytic.shapes import Ball, Plate, column
 from multilight.datagen.backends.protocol import BackendError, RenderJob, RenderSettings
-from multilight.lights.spec import AreaLight, EmissiveLight, EnvironmentLight, LightRig, PointLight, SunLight
+from multilight.datagen.storage.layers import LayerStack
+from multilight.lights.spec import AreaLight, EmissiveLight, EnvironmentLight, Light, LightRig, PointLight, SunLight
 from multilight.scenes.cameras.pinhole import camera_from_fov, look_at, matrix4, project
 from multilight.scenes.kinds.spheres import INSERTABLE, sample_spheres
 from multilight.scenes.spec import Body, Material, MeshAsset, Rectangle, SceneSpec, Sphere, Texture
@@ -20,7 +21,15 @@ from multilight.scenes.streams import Streams
 PLAIN = Material(base_color=(1.0, 0.5, 0.25), roughness=0.7, ior=1.0)
 
 
-def body(name, shape, position=(0.0, 0.0, 0.0), *, material=PLAIN, insertable=False, pose=None) -> Body:
+def body(
+    name: str,
+    shape: Sphere | Rectangle | MeshAsset,
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    *,
+    material: Material = PLAIN,
+    insertable: bool = False,
+    pose: np.ndarray | None = None,
+) -> Body:
     matrix = np.eye(4) if pose is None else np.array(pose)
     matrix[:3, 3] = position
     return Body(
@@ -34,12 +43,12 @@ def body(name, shape, position=(0.0, 0.0, 0.0), *, material=PLAIN, insertable=Fa
     )
 
 
-def scene(*bodies: Body, size: int = 24, eye=(0.0, -3.0, 0.0)) -> SceneSpec:
+def scene(*bodies: Body, size: int = 24, eye: tuple[float, float, float] = (0.0, -3.0, 0.0)) -> SceneSpec:
     camera = camera_from_fov(look_at(eye, (0, 0, 0)), width=size, height=size, fov=0.8)
     return SceneSpec(kind="spheres", index=0, bodies=bodies, cameras=(camera,))
 
 
-def render(spec, *lights, variant="all", spp=1):
+def render(spec: SceneSpec, *lights: Light, variant: str = "all", spp: int = 1) -> LayerStack:
     job = RenderJob(spec, LightRig(lights=lights), RenderSettings(spp=spp), 0, variant)
     with AnalyticBackend() as backend:
         return backend.render(job)
@@ -69,7 +78,7 @@ NORMALS = {"facing": (0.0, 0.0, 1.0), "tilted": (0.0, 0.8, 0.6), "grazing": (1.0
     ],
     ids=["near_ball", "far_ball", "plate_above", "wall"],
 )
-def test_form_factor_equals_the_share_of_rays_that_hit(shape, normal):
+def test_form_factor_equals_the_share_of_rays_that_hit(shape: Ball | Plate, normal: tuple[float, float, float]) -> None:
     unit = np.array(normal) / np.linalg.norm(normal)
     hits = np.isfinite(shape.hit(np.zeros((3, 1)), cosine_directions(unit)))
     factor = shape.form_factor(np.zeros((3, 1)), column(unit))
@@ -77,7 +86,7 @@ def test_form_factor_equals_the_share_of_rays_that_hit(shape, normal):
 
 
 @given(distance=st.floats(1.01, 50), cosine=st.floats(0, 1))
-def test_sphere_above_the_horizon_has_the_textbook_form_factor(distance, cosine):
+def test_sphere_above_the_horizon_has_the_textbook_form_factor(distance: float, cosine: float) -> None:
     ball = Ball("b", 1, PLAIN, column((0.0, 0.0, distance)), 1.0)
     normal = column((math.sqrt(1 - cosine**2), 0.0, cosine))
     factor = ball.form_factor(np.zeros((3, 1)), normal)[0]
@@ -88,7 +97,7 @@ def test_sphere_above_the_horizon_has_the_textbook_form_factor(distance, cosine)
         assert factor >= textbook - 1e-9, "the part above the horizon outweighs the negative part below"
 
 
-def test_huge_plate_fills_half_the_sky_of_an_upright_wall_and_none_of_its_own():
+def test_huge_plate_fills_half_the_sky_of_an_upright_wall_and_none_of_its_own() -> None:
     ground = Plate("g", 1, PLAIN, column((0.0, 0.0, 0.0)), np.eye(3), 1e4, 1e4)
     points = np.array([[0.0, 0.0, 1.0]] * 4).T
     normals = np.array([(1.0, 0, 0), (0, 0, -1.0), (0, 0, 1.0), (0.6, 0, 0.8)]).T
@@ -98,14 +107,14 @@ def test_huge_plate_fills_half_the_sky_of_an_upright_wall_and_none_of_its_own():
 # --- pictures ---
 
 
-def test_white_furnace():
+def test_white_furnace() -> None:
     """A convex white body under uniform light of radiance 1 cannot be told from its surroundings."""
     white = Material(base_color=(1.0, 1.0, 1.0))
     stack = render(scene(body("ball", Sphere(radius=1.0), material=white)), EnvironmentLight(name="sky"), spp=4)
     np.testing.assert_allclose(stack.radiance[0], 1.0, rtol=1e-6)
 
 
-def test_sphere_depth_in_closed_form():
+def test_sphere_depth_in_closed_form() -> None:
     stack = render(scene(body("ball", Sphere(radius=1.0)), size=25), EnvironmentLight(name="sky"))
     assert stack.geometry.z_depth[12, 12] == pytest.approx(2.0)
     assert stack.geometry.z_depth[0, 0] == 0
@@ -117,7 +126,7 @@ def test_sphere_depth_in_closed_form():
     assert (stack.geometry.instance_id == 1).sum() == pytest.approx(area, rel=0.03)
 
 
-def test_sun_on_a_sphere_is_lamberts_law():
+def test_sun_on_a_sphere_is_lamberts_law() -> None:
     stack = render(
         scene(body("ball", Sphere(radius=1.0)), size=25),
         SunLight(name="sun", direction=(0, 2, 0), irradiance=(math.pi, 1.0, 1.0)),
@@ -128,7 +137,7 @@ def test_sun_on_a_sphere_is_lamberts_law():
     np.testing.assert_allclose(stack.radiance[0, mine, 0], np.maximum(cosine, 0), atol=1e-6)
 
 
-def test_shadow_of_a_sphere_under_a_point_is_the_tangent_cone():
+def test_shadow_of_a_sphere_under_a_point_is_the_tangent_cone() -> None:
     """From height 2, a ball of radius 0.5 at height 1 shadows a disc of radius 2 tan(asin(0.5))."""
     ground = body("ground", Rectangle(width=8.0, height=8.0))
     ball = body("ball", Sphere(radius=0.5), (0.0, 0.0, 1.0), insertable=True)
@@ -146,7 +155,7 @@ def test_shadow_of_a_sphere_under_a_point_is_the_tangent_cone():
     np.testing.assert_array_equal(lit.radiance[:, outside], without.radiance[:, outside])
 
 
-def test_glow_and_its_hiding_place():
+def test_glow_and_its_hiding_place() -> None:
     """A glowing ball lights the plate by cos(theta) (R / d)^2, and a screen over its centre hides it."""
     ground = body("ground", Rectangle(width=4.0, height=4.0))
     bulb = body("bulb", Sphere(radius=0.2), (0.0, 0.0, 1.0))
@@ -163,7 +172,7 @@ def test_glow_and_its_hiding_place():
     assert (screened.radiance[0][screened.geometry.instance_id == 1] == 0).any()
 
 
-def test_rectangle_in_any_pose_shows_both_sides():
+def test_rectangle_in_any_pose_shows_both_sides() -> None:
     turned = look_at((1.0, -2.0, 0.5), (0, 0, 0))
     for flip in (1, -1):
         pose = turned @ np.diag([1.0, flip, flip, 1.0])
@@ -177,12 +186,12 @@ def test_rectangle_in_any_pose_shows_both_sides():
         np.testing.assert_allclose(stack.radiance[0][mine][:, 0], 1.0, rtol=1e-5)
 
 
-def test_scaled_pose_scales_the_sphere():
+def test_scaled_pose_scales_the_sphere() -> None:
     spec = scene(body("ball", Sphere(radius=0.5), pose=np.diag([2.0, 2.0, 2.0, 1.0])), size=25)
     assert render(spec, EnvironmentLight(name="sky")).geometry.z_depth[12, 12] == pytest.approx(2.0)
 
 
-def test_grid_is_the_ceiling_of_the_square_root():
+def test_grid_is_the_ceiling_of_the_square_root() -> None:
     spec = scene(body("ball", Sphere(radius=1.0)))
     sky = EnvironmentLight(name="sky")
     for spp, side in ((1, 1), (2, 2), (4, 2), (5, 3)):
@@ -193,7 +202,7 @@ def test_grid_is_the_ceiling_of_the_square_root():
 
 @settings(max_examples=20)
 @given(edge=st.floats(0.05, 1.4), blend=st.floats(0, 1), angle=st.floats(0, 1.5))
-def test_spot_falloff_is_one_on_the_axis_and_zero_outside(edge, blend, angle):
+def test_spot_falloff_is_one_on_the_axis_and_zero_outside(edge: float, blend: float, angle: float) -> None:
     falloff = spot_falloff(np.cos(np.array([0.0, angle, edge + 0.01])), edge, blend)
     assert falloff[0] == 1.0
     assert 0 <= falloff[1] <= 1
@@ -233,7 +242,7 @@ TEXTURED = Material(base_color_texture=Texture(image="builtin/wood"))
         ),
     ],
 )
-def test_what_has_no_closed_form_is_refused_by_name(bodies, light, words):
+def test_what_has_no_closed_form_is_refused_by_name(bodies: list[Body], light: Light | None, words: str) -> None:
     with pytest.raises(BackendError, match=words):
         render(scene(*bodies), light or EnvironmentLight(name="sky"))
 
@@ -242,7 +251,7 @@ def test_what_has_no_closed_form_is_refused_by_name(bodies, light, words):
 
 
 @pytest.mark.parametrize("index", range(6))
-def test_spheres_rest_on_the_ground_apart_and_in_frame(index):
+def test_spheres_rest_on_the_ground_apart_and_in_frame(index: int) -> None:
     spec = sample_spheres(Streams(7, index), index=index, width=96, height=64, views=5)
     balls = [item for item in spec.bodies if isinstance(item.geometry, Sphere)]
     assert 4 <= len(balls) <= 7
@@ -263,7 +272,7 @@ def test_spheres_rest_on_the_ground_apart_and_in_frame(index):
     assert distances[0] > 1.5 * distances[-1]
 
 
-def test_insertable_spheres_are_seen_in_every_view():
+def test_insertable_spheres_are_seen_in_every_view() -> None:
     for index in range(4):
         spec = sample_spheres(Streams(0, index), index=index, width=48, height=48, views=4)
         rig = LightRig(lights=(EnvironmentLight(name="sky"),))
@@ -274,7 +283,7 @@ def test_insertable_spheres_are_seen_in_every_view():
                     assert (ids == spec.instance_id(name)).sum() > 3, (index, view, name)
 
 
-def test_scene_depends_on_nothing_but_its_key():
+def test_scene_depends_on_nothing_but_its_key() -> None:
     def sample(seed: int, index: int) -> str:
         return sample_spheres(Streams(seed, index), index=index, width=32, height=32, views=3).sha256()
 

@@ -25,6 +25,7 @@ from multilight.lights.spec import (
 )
 from multilight.scenes.arrays import Float32
 from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.cameras.pinhole import matrix4
 from multilight.scenes.frozen import Matrix4
 from multilight.scenes.meshes import Mesh, MeshPart
 from multilight.scenes.spec import Body, Camera, Material, MeshAsset, Rectangle, SceneSpec, Sphere, Texture
@@ -84,7 +85,7 @@ def look(eye: tuple[float, float, float], target: tuple[float, float, float] = (
     right = np.cross((0, 0, 1), back)
     right /= np.linalg.norm(right)
     rows = np.column_stack([right, np.cross(back, right), back, eye])
-    return (*(tuple(row) for row in rows.tolist()), (0, 0, 0, 1))
+    return matrix4([*rows, (0, 0, 0, 1)])
 
 
 def camera(pose: Matrix4, size: int = 16, focal: float = 16) -> Camera:
@@ -153,7 +154,7 @@ ON_A_WHITE_FLOOR = [
 
 
 @pytest.mark.parametrize(("light", "expected"), ON_A_WHITE_FLOOR, ids=lambda value: getattr(value, "kind", ""))
-def test_a_light_on_a_white_floor(blender: BlenderBackend, light: Light, expected: object) -> None:
+def test_a_light_on_a_white_floor(blender: BlenderBackend, light: Light, expected: float | np.ndarray) -> None:
     stack = render(blender, scene((floor(),), DOWN), (light,), spp=64)
     np.testing.assert_allclose(centre(stack.radiance[0]), np.broadcast_to(expected, 3), rtol=0.005, atol=1e-6)
 

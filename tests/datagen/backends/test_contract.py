@@ -1,6 +1,7 @@
 """The contract that every backend keeps; `tests/datagen/backends/backend_contract.py` holds the checks."""
 
 import importlib.util
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from multilight.datagen.backends.analytic import AnalyticBackend
 from multilight.datagen.backends.choose import open_backend
 from multilight.datagen.backends.machine.variants import choose_variant
-from multilight.datagen.backends.protocol import BackendError, RenderJob
+from multilight.datagen.backends.protocol import Backend, BackendError, RenderJob
 from multilight.datagen.storage.layers import LayerStack
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.cameras.pinhole import ray_distance_from_z_depth
@@ -47,8 +48,9 @@ UNSUPPORTED = {
 class Subject:
     """A backend under test; `render` keeps what it has rendered, `backend.render` does not."""
 
-    def __init__(self, name, backend):
-        self.name, self.backend, self.tolerance, self._kept = name, backend, TOLERANCES[name], {}
+    def __init__(self, name: str, backend: Backend) -> None:
+        self.name, self.backend, self.tolerance = name, backend, TOLERANCES[name]
+        self._kept: dict[tuple[object, ...], LayerStack] = {}
 
     def render(self, job: RenderJob) -> LayerStack:
         key = (job.scene.sha256(), job.rig.sha256(), job.settings.sha256(), job.view, job.variant)
@@ -58,7 +60,7 @@ class Subject:
 
 
 @pytest.fixture(scope="module", params=sorted(TOLERANCES))
-def subject(request, tmp_path_factory):
+def subject(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Subject]:
     if request.param == "cycles" and importlib.util.find_spec("bpy") is None:
         pytest.skip("the package bpy is not installed")
     if request.param == "mitsuba" and choose_variant().variant == "scalar_rgb":
@@ -69,16 +71,16 @@ def subject(request, tmp_path_factory):
 
 
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__.removeprefix("check_"))
-def test_contract(subject, check):
+def test_contract(subject: Subject, check: Callable[..., None]) -> None:
     check(subject.render, subject.tolerance)
 
 
-def test_same_job_same_bytes(subject):
+def test_same_job_same_bytes(subject: Subject) -> None:
     contract.check_same_job_same_bytes(subject.backend.render, subject.tolerance)
 
 
 @pytest.mark.parametrize("kind", CLOSED_FORMS)
-def test_closed_form_irradiance(subject, kind):
+def test_closed_form_irradiance(subject: Subject, kind: str) -> None:
     light, bodies = CLOSED_FORMS[kind]
     if kind in UNSUPPORTED[subject.name]:
         with pytest.raises(BackendError, match=light.name):
@@ -87,18 +89,18 @@ def test_closed_form_irradiance(subject, kind):
         contract.check_closed_form_irradiance(subject.render, subject.tolerance, light, *bodies)
 
 
-def test_backend_is_named(subject):
+def test_backend_is_named(subject: Subject) -> None:
     assert subject.backend.name == subject.name
 
 
 # --- the contract can fail: each fault below must be caught by the check beside it ---
 
 
-def _geometry(stack: LayerStack, **changes) -> LayerStack:
+def _geometry(stack: LayerStack, **changes: np.ndarray) -> LayerStack:
     return replace(stack, geometry=stack.geometry and replace(stack.geometry, **changes))
 
 
-def _ray_distance(stack, job):
+def _ray_distance(stack: LayerStack, job: RenderJob) -> LayerStack:
     if stack.geometry is None:
         return stack
     return _geometry(stack, z_depth=ray_distance_from_z_depth(job.scene.cameras[job.view], stack.geometry.z_depth))
@@ -130,7 +132,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("name", FAULTS)
-def test_contract_catches(name):
+def test_contract_catches(name: str) -> None:
     check, spoil = FAULTS[name]
     backend = AnalyticBackend()
 
@@ -145,7 +147,7 @@ def test_contract_catches(name):
 
 
 @pytest.mark.parametrize("kind", ["sun", "point", "spot", "environment", "emissive"])
-def test_contract_catches_a_light_too_strong(kind):
+def test_contract_catches_a_light_too_strong(kind: str) -> None:
     light, bodies = CLOSED_FORMS[kind]
 
     def render(job: RenderJob) -> LayerStack:

@@ -59,7 +59,7 @@ def test_verify_agrees(dataset: Path) -> None:
 
 def test_layers_sum_to_the_renderers_own_picture(dataset: Path) -> None:
     for record, channels in views(dataset):
-        total = sum(rgb(channels, f"all.{light['name']}") for light in record["rig"]["lights"])
+        total = np.sum([rgb(channels, f"all.{light['name']}") for light in record["rig"]["lights"]], axis=0)
         combined = rgb(channels, "combined")
         assert total.mean() == pytest.approx(combined.mean(), rel=0.3)
         blocks = [a[:72, :96].reshape(3, 24, 4, 24, 3).mean(axis=(1, 3)) for a in (total, combined)]

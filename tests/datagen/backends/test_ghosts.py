@@ -132,6 +132,7 @@ def test_a_mirror_shows_the_object_too(subject: Subject, name: str) -> None:
     shown = shown_in(all_, without, foreground)
     assert shown[in_mirror].all()
     assert shown.mean() < 0.6, "the diffuse ground shows nothing"
+    assert foreground.coverage is not None
     assert not foreground.coverage[in_mirror].any()
 
 
@@ -146,8 +147,9 @@ def test_backgrounds_hold_none_of_the_object(subject: Subject, place: str, spp: 
     for name in spec.insertable:
         where = seen(name, mirror=place == "mirror") | (made.coverage[name] > 0)
         truth = subject.stack(place, f"without_{name}", 256).radiance
-        for light, *layers in zip(RIG.names, made.variants[f"without_{name}"], truth, everything, strict=True):
-            left = list(shares_left(*layers, where))
+        stored = made.variants[f"without_{name}"]
+        for light, *(own, true, present) in zip(RIG.names, stored, truth, everything, strict=True):
+            left = list(shares_left(own, true, present, where))
             assert left, (name, light)
             assert max(left) < 0.35, (name, light)
 

@@ -1,12 +1,14 @@
 """Both renderers still make the pictures that were judged right, within noise (`tests/goldens`)."""
 
 import importlib.util
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
 
 from multilight.datagen.backends.choose import open_backend
 from multilight.datagen.backends.machine.variants import choose_variant
+from multilight.datagen.backends.protocol import Backend
 from multilight.scenes.arrays import Float32
 from multilight.scenes.assets.library import AssetLibrary
 from tests.datagen.backends.goldens import CASES, FOLDER, REPEATS, Golden, golden_job, load
@@ -24,7 +26,7 @@ WILD = 4.0
 
 
 @pytest.fixture(scope="module", params=BACKENDS)
-def backend(request, tmp_path_factory):
+def backend(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Backend]:
     library = AssetLibrary(cache=tmp_path_factory.mktemp("cache"), packs=("builtin",))
     with open_backend(request.param, library) as opened:
         yield opened
@@ -55,7 +57,7 @@ def faults(layer: Float32, mean: Float32, variance: Float32) -> list[str]:
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_renders_as_it_did(backend, case):
+def test_renders_as_it_did(backend: Backend, case: str) -> None:
     golden = load(f"{backend.name}-{case}")
     stack = backend.render(golden_job(case, 0))
     for number, light in enumerate(stack.lights):
@@ -69,7 +71,7 @@ def _sampled(golden: Golden, light: int) -> Float32:
 
 
 @pytest.mark.parametrize("name", sorted(path.stem for path in FOLDER.glob("*.npz")))
-def test_the_test_sees_small_changes(name):
+def test_the_test_sees_small_changes(name: str) -> None:
     """A layer two hundredths brighter, one moved by a pixel, and one with another's light in it are told apart."""
     golden = load(name)
     for light in range(len(golden.mean)):
@@ -82,7 +84,7 @@ def test_the_test_sees_small_changes(name):
                       variance)  # fmt: skip
 
 
-def test_they_are_small_and_whole():
+def test_they_are_small_and_whole() -> None:
     expected = {f"{backend}-{case}" for backend in ("mitsuba", "cycles") for case in CASES}
     assert {path.stem for path in FOLDER.glob("*.npz")} == expected
     assert sum(path.stat().st_size for path in FOLDER.glob("*.npz")) < 1_000_000

@@ -1,7 +1,9 @@
 """The Mitsuba room: its integrator against the built-in one, energy, removed objects, and compiled kernels."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +26,7 @@ import mitsuba as mi
 
 from multilight.datagen.backends.mitsuba import MitsubaBackend
 from multilight.datagen.backends.mitsuba.adaptive import first_blocks
-from multilight.datagen.backends.mitsuba.arrays import Textures, scene_arrays
+from multilight.datagen.backends.mitsuba.arrays import SceneArrays, Textures, scene_arrays
 from multilight.datagen.backends.mitsuba.backend import _Batch
 from multilight.datagen.backends.mitsuba.bsdf import Tables
 from multilight.datagen.backends.mitsuba.cameras import Lens
@@ -36,12 +38,12 @@ WHITE = (1.0, 1.0, 1.0)
 
 
 @pytest.fixture(scope="module")
-def library(tmp_path_factory):
+def library(tmp_path_factory: pytest.TempPathFactory) -> AssetLibrary:
     return AssetLibrary(cache=tmp_path_factory.mktemp("cache"))
 
 
 @pytest.fixture(scope="module")
-def backend(library):
+def backend(library: AssetLibrary) -> Iterator[MitsubaBackend]:
     with MitsubaBackend(library) as opened:
         yield opened
 
@@ -55,10 +57,10 @@ class Sequential:
 
     sampler: mi.Sampler
 
-    def next_1d(self, dimension, vertex=0):
+    def next_1d(self, dimension: int, vertex: int = 0) -> mi.Float:
         return self.sampler.next_1d()
 
-    def next_2d(self, dimension, vertex=0):
+    def next_2d(self, dimension: int, vertex: int = 0) -> mi.Point2f:
         return self.sampler.next_2d()
 
 
@@ -75,13 +77,14 @@ OWN_LIGHTS: tuple[Light, ...] = (
 )
 
 
-def _block(centre, size):
+def _block(centre: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray]:
     """Six flat sides of a turned cube: corners and triangles.
 
     No normal has a zero in it, whose sign would be for rounding to decide, and with it the frame.
     """
     turn = Rotation.from_euler("xyz", [0.3, 0.5, 0.7]).as_matrix()
-    corners, faces = [], []
+    corners: list[np.ndarray] = []
+    faces: list[list[int]] = []
     for axis in range(3):
         for side in (-1, 1):
             u, v = (np.eye(3)[(axis + 1) % 3], np.eye(3)[(axis + 2) % 3])
@@ -93,7 +96,7 @@ def _block(centre, size):
     return np.array(corners, np.float32), np.array(faces, np.uint32)
 
 
-def _mesh(name, vertices, faces, **more):
+def _mesh(name: str, vertices: np.ndarray, faces: np.ndarray, **more: Any) -> mi.Mesh:
     mesh = mi.Mesh(name, len(vertices), len(faces), has_vertex_texcoords=True, props=_props(**more))
     parameters = mi.traverse(mesh)
     parameters["vertex_texcoords"] = mi.Float(_aligned_uv(vertices, faces).ravel())
@@ -103,7 +106,7 @@ def _mesh(name, vertices, faces, **more):
     return mesh
 
 
-def _aligned_uv(vertices, faces):
+def _aligned_uv(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Texture coordinates that run along the axes of `Frame3f`, from which the built-in integrator takes its own."""
     uv = np.zeros((len(vertices), 2), np.float32)
     for triangle in faces:
@@ -114,14 +117,14 @@ def _aligned_uv(vertices, faces):
     return uv
 
 
-def _props(**objects):
+def _props(**objects: object) -> mi.Properties:
     props = mi.Properties()
     for key, value in objects.items():
         props[key] = mi.load_dict(value)
     return props
 
 
-def _ours(lights: tuple[Light, ...], library) -> World:
+def _ours(lights: tuple[Light, ...], library: AssetLibrary) -> World:
     """The ground and, in the places of two balls, two turned cubes, as our integrator takes them."""
     rectangles = [
         Body(name="ground", role="support", category="test", geometry=Rectangle(width=4.0, height=4.0),
@@ -141,10 +144,11 @@ def _ours(lights: tuple[Light, ...], library) -> World:
     surfaces = Surfaces(arrays)
     emitters = emitters_of(LightRig(lights=lights), arrays, surfaces, library)
     whole = build(arrays, arrays.of_bodies(arrays.spans))
+    assert whole is not None
     return World(whole, whole, None, surfaces, emitters, Tables(), mi.UInt32([0] * 4))
 
 
-def _with_blocks(arrays):
+def _with_blocks(arrays: SceneArrays) -> SceneArrays:
     """Put flat cubes where the balls are: without smooth normals both renderers have the same frames."""
     vertices = [arrays.vertices[:4]]
     faces = [arrays.faces[:2]]
@@ -163,18 +167,18 @@ def _with_blocks(arrays):
 
 
 def _builtin(chosen: set[str]) -> mi.Scene:
-    def diffuse(name):
+    def diffuse(name: str) -> dict[str, object]:
         return {"type": "diffuse", "reflectance": {"type": "rgb", "value": list(COLOURS[name])}}
 
-    def rgb(*values):
+    def rgb(*values: float) -> dict[str, object]:
         return {"type": "rgb", "value": list(values)}
 
     half = 2.0
     ground = np.array([[-half, -half, 0], [half, -half, 0], [half, half, 0], [-half, half, 0]], np.float32)
     solids = {name: _block(np.array(centre), size) for name, (centre, size) in SOLIDS.items()}
     axes = mi.ScalarTransform4f(np.array([[0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]]))
-    bitmap = mi.Bitmap(np.broadcast_to(np.float32([0.3, 0.4, 0.5]), (9, 8, 3)).copy())
-    glow = {"emitter": {"type": "area", "radiance": rgb(3.0, 2.0, 1.0)}} if "glow" in chosen else {}
+    bitmap = mi.Bitmap(np.broadcast_to(np.array([0.3, 0.4, 0.5], np.float32), (9, 8, 3)).copy())
+    glow: dict[str, Any] = {"emitter": {"type": "area", "radiance": rgb(3.0, 2.0, 1.0)}} if "glow" in chosen else {}
     lights = {
         "point": {"type": "point", "position": [-1.0, -1.0, 1.5], "intensity": rgb(2.0, 1.0, 0.5)},
         "sun": {"type": "directional", "direction": [0.3, 0.4, -1.0], "irradiance": rgb(1.0, 0.9, 0.8)},
@@ -199,7 +203,7 @@ def _rays() -> mi.Ray3f:
     return mi.Ray3f(mi.Point3f(0.2, -2.4, 1.0), d)
 
 
-def _sampler():
+def _sampler() -> mi.Sampler:
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(3, COUNT)
     return sampler
@@ -209,12 +213,15 @@ def _sampler():
 @pytest.mark.parametrize(
     ("chosen", "share"), [({"point", "sun", "sky"}, 1e-3), ({"point", "sun", "sky", "glow"}, 0.02)]
 )
-def test_layers_sum_to_the_builtin_path_integrator_path_by_path(library, chosen, share):
+def test_layers_sum_to_the_builtin_path_integrator_path_by_path(
+    library: AssetLibrary, chosen: set[str], share: float
+) -> None:
     builtin = _builtin(chosen)
     order = [PLUGINS[str(e).split("[")[0]] for e in builtin.emitters()]
     lights = {light.name: light for light in OWN_LIGHTS}
     world = _ours(tuple(lights[name] for name in order), library)
-    book = trace(world, _rays(), Sequential(_sampler()), max_bounces=5, one_light=True)
+    sampler: Any = Sequential(_sampler())
+    book = trace(world, _rays(), sampler, max_bounces=5, one_light=True)
     path = mi.load_dict({"type": "path", "max_depth": 7, "rr_depth": 3})
     expected = np.array(path.sample(builtin, _sampler(), mi.RayDifferential3f(_rays()))[0])
     total = np.array(sum(book.layers[1:], book.layers[0]))
@@ -227,7 +234,7 @@ def test_layers_sum_to_the_builtin_path_integrator_path_by_path(library, chosen,
 # --- each layer is the picture of its light alone ---
 
 
-def test_each_layer_is_the_render_of_its_light_alone(backend):
+def test_each_layer_is_the_render_of_its_light_alone(backend: MitsubaBackend) -> None:
     """A Z-test over 8 x 8 blocks, with the variance that eight independent renders of each show."""
     names = ("environment", "sun", "bulb", "rectangle")
     lights = tuple(LIGHTS[name] for name in names)
@@ -241,14 +248,14 @@ def test_each_layer_is_the_render_of_its_light_alone(backend):
         assert abs(np.mean(z)) < 0.3, light.name
 
 
-def _repeated(backend, lights):
+def _repeated(backend: MitsubaBackend, lights: tuple[Light, ...]) -> np.ndarray:
     """Render the plastic ball eight times with other random numbers, as blocks of 8 x 8 pixels."""
     job = calibration_job(SURFACES["plastic"], lights, 16)
     scenes = [job.scene.model_copy(update={"index": number}) for number in range(8)]
     return np.array([_blocks(backend.render(replace(job, scene=scene)).radiance) for scene in scenes])
 
 
-def _blocks(picture):
+def _blocks(picture: np.ndarray) -> np.ndarray:
     *lead, height, width, _ = picture.shape
     return picture.reshape(*lead, height // 8, 8, width // 8, 8, 3).mean(axis=(-4, -2)).astype(np.float64)
 
@@ -270,7 +277,7 @@ FURNACE = {
 
 
 @pytest.mark.parametrize("name", FURNACE)
-def test_furnace(backend, name):
+def test_furnace(backend: MitsubaBackend, name: str) -> None:
     """A white ball in uniform light of radiance 1 cannot be seen."""
     fields, tolerance = FURNACE[name]
     body = Body(name="ball", role="object", category="test", geometry=Sphere(radius=1.0),
@@ -286,7 +293,7 @@ def test_furnace(backend, name):
 # --- removed objects ---
 
 
-def test_removing_a_glowing_object_leaves_other_light_alone(backend):
+def test_removing_a_glowing_object_leaves_other_light_alone(backend: MitsubaBackend) -> None:
     """Unlike a renderer that chooses among the lights, ours gives far pixels exactly what they had."""
     scene = job().scene
     bodies = tuple(b.model_copy(update={"insertable": b.name == "bulb"}) for b in scene.bodies)
@@ -306,7 +313,7 @@ def test_removing_a_glowing_object_leaves_other_light_alone(backend):
     assert changed[:, far].mean() < 0.05
 
 
-def test_only_paths_that_met_a_glowing_object_are_traced_again(backend):
+def test_only_paths_that_met_a_glowing_object_are_traced_again(backend: MitsubaBackend) -> None:
     """That a body hides half of its own glow from a point is no reason to trace that point without it."""
     scene = job().scene
     bodies = tuple(b.model_copy(update={"insertable": b.name == "bulb"}) for b in scene.bodies)
@@ -315,13 +322,14 @@ def test_only_paths_that_met_a_glowing_object_are_traced_again(backend):
     settings = RenderSettings(spp=4, max_bounces=1, threads=2)
     backend.render(RenderJob(scene, LightRig(lights=lights), settings, 0))
     camera = scene.cameras[0]
+    assert backend._synced is not None
     batch = _Batch(backend._synced, Lens(camera), camera, settings, (0, first_blocks(camera.width * camera.height, 4)))
     book = batch._trace(None, dr.arange(mi.UInt32, camera.width * camera.height * 4))
     lit = np.array(book.first) > 0
     assert 0 < np.mean(np.array(book.met)[lit] != 0) < 0.25
 
 
-def test_composite_with_one_lighting_is_the_target_at_edges(backend):
+def test_composite_with_one_lighting_is_the_target_at_edges(backend: MitsubaBackend) -> None:
     """Where no shadow, reflection or glow of the object falls, over the rim of the object too, there is no halo."""
     lights = (EnvironmentLight(name="sky", radiance=(0.5, 1.0, 2.0)),)
     body = Body(name="ball", role="object", category="test", geometry=Sphere(radius=0.8), insertable=True,
@@ -334,6 +342,7 @@ def test_composite_with_one_lighting_is_the_target_at_edges(backend):
         variant: backend.render(RenderJob(scene, LightRig(lights=lights), RenderSettings(spp=32), 0, variant))
         for variant in ("all", "without_ball", "foreground_ball")
     }
+    assert made["foreground_ball"].coverage is not None
     coverage = made["foreground_ball"].coverage[..., None]
     edge = (coverage[..., 0] > 0) & (coverage[..., 0] < 1)
     assert edge.sum() > 50
@@ -344,7 +353,7 @@ def test_composite_with_one_lighting_is_the_target_at_edges(backend):
 # --- compiled once ---
 
 
-def test_another_scene_with_the_same_kinds_of_light_compiles_nothing(backend):
+def test_another_scene_with_the_same_kinds_of_light_compiles_nothing(backend: MitsubaBackend) -> None:
     first = calibration_job(SURFACES["plastic"], (LIGHTS["sun"], LIGHTS["bulb"]), 4)
     backend.render(first)
     moved = LIGHTS["bulb"].model_copy(update={"position": (0.3, -0.7, 1.1)})

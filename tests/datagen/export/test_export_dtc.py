@@ -157,7 +157,7 @@ def test_tone_curve_and_exposures_are_the_published_ones(
             for v, view in enumerate(views):
                 pictures = {f"images/{v}.png": radiances[v]}
                 for j, removed in enumerate(record.scene.insertable):
-                    pictures[f"object_bgs/{v}_object{j}.png"] = background(view, removed, lit)
+                    pictures[f"object_bgs/{v}_object{j}.png"] = background(view, removed, lit).astype(np.float64)
                 for file, radiance in pictures.items():
                     x = radiance * np.exp(ev)
                     y = np.clip(x * (1 + x / white**2) / (1 + x) * 255, 0, 255)
@@ -365,7 +365,8 @@ def test_picked_camera_sees_through_the_picked_pixels(height: int, width: int) -
     frame = Frame.fit(256, height, width)
     depth = np.full((height, width), 2.0)
     lifted = unproject(frame.picked_camera(rendered), frame.pick(depth))
-    error = np.linalg.norm(lifted - frame.pick(unproject(rendered, depth)), axis=-1) / (2.0 / frame.camera(rendered).fx)
+    lifted -= np.asarray(frame.pick(unproject(rendered, depth)), np.float64)
+    error = np.linalg.norm(lifted, axis=-1) / (2.0 / frame.camera(rendered).fx)
     whole = height % 256 == 0
     assert error.max() < (1e-6 if whole else 0.75)
     stored, picked = frame.camera(rendered), frame.picked_camera(rendered)

@@ -142,12 +142,12 @@ def test_normals_window_and_light_masks(scene: Scene, spheres_dataset: Path) -> 
 
 def test_tars_hold_ten_scenes_and_the_same_files(exported: Path, spheres_dataset: Path, tmp_path: Path) -> None:
     assert main(["export", "luxremix", str(spheres_dataset), "--out", str(tmp_path), "--tar"]) == 0
-    found = {}
+    found: dict[str, bytes] = {}
     assert (tmp_path / "manifest.json").is_file()
     for path in tmp_path.glob("*.tar"):
         assert re.fullmatch(r"(training|test)-\d{4}\.tar", path.name)
         with tarfile.open(path, "r:") as tar:
-            found |= {entry.name: tar.extractfile(entry).read() for entry in tar}  # type: ignore[union-attr]
+            found |= {entry.name: tar.extractfile(entry).read() for entry in tar}
     there = {str(path.relative_to(exported)): path.read_bytes() for path in exported.rglob("*/*") if path.is_file()}
     assert found == there
 
@@ -157,7 +157,8 @@ def test_glowing_bodies_are_painted_and_what_shines_of_them(sphere_view: tuple[S
     name = record.scene.insertable[0]
     body = view.geometry.instance_id == record.scene.instance_id(name)
     shining = body & (np.arange(body.shape[0])[:, None] % 2 == 0)
-    layer = np.where(shining[..., None], np.float32([4, 2, 1]), np.float32(0.5))  # the rest is lit by what shines
+    light = np.array([4, 2, 1], np.float32)
+    layer = np.where(shining[..., None], light, np.float32(0.5))  # the rest is lit by what shines
     glow = EmissiveLight(name="glow", body=name, radiance=(4.0, 2.0, 1.0))
     record = record.model_copy(update={"rig": LightRig(lights=(*record.rig.lights, glow))})
     layers = np.concatenate([view.variants["all"], layer[None]])

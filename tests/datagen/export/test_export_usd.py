@@ -267,7 +267,7 @@ def test_changed_triangles_come_from_the_stage(written: Path, record: SceneRecor
     assert body.insertable
     assert body.geometry.asset == "background/bg_bulb"
     heights = [
-        np.array(b.world_from_body)[2, 2] * np.ptp(library.mesh(b.geometry.asset).bounds()[:, 2])  # type: ignore[union-attr]
+        np.array(b.world_from_body)[2, 2] * np.ptp(library.mesh(b.geometry.asset).bounds()[:, 2])
         for b in (body, before)
     ]
     assert heights[0] == pytest.approx(2 * heights[1], rel=1e-4)
