@@ -14,7 +14,7 @@ from multilight.datagen.commands.terminal import one_line
 from tests import ROOT
 from tests.conftest import SPHERES
 
-RUN = f"{sys.executable} -m datagen"
+RUN = f"{sys.executable} -m multilight"
 
 
 def shell(command: str) -> subprocess.CompletedProcess[str]:

@@ -141,7 +141,9 @@ def test_without_bowls_there_is_no_fruit_bowl(library: AssetLibrary, monkeypatch
 
 def _poses(threads: int) -> str:
     code = (
-        "import numpy as np\nfrom scenes.assets.library import AssetLibrary\nfrom scenes.piles import sample_pile\n"
+        "import numpy as np\n"
+        "from multilight.scenes.assets.library import AssetLibrary\n"
+        "from multilight.scenes.still_life.piles import sample_pile\n"
         "pile = sample_pile(np.random.default_rng(7), AssetLibrary(packs=('builtin',)), kind='fruit_bowl')\n"
         "print(b''.join(m.pile_from_body.tobytes() for m in pile.members).hex())"
     )
