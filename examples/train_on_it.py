@@ -1,38 +1,38 @@
-"""Train on it: a tiny network learns to give a pasted object the scene's light. Every sample is lit anew."""
+"""Train on it: the ready-made model learns on from three scenes of your own. Every sample is lit anew, on the fly."""
 
 from pathlib import Path
 
-import numpy as np
 import torch
 from PIL import Image
-from torch import nn
 from torch.utils.data import DataLoader
 
 import multilight
+from multilight.model.inference.harmonize import DEFAULT_WEIGHTS
+from multilight.model.networks.checkpoint import load_network
 
 
-def main(out: Path, steps: int = 400) -> None:
-    """Make three small scenes and train for `steps` batches; the picture is of scenes that it learnt from."""
+def main(out: Path, steps: int = 150) -> None:
+    """Make three small scenes and train for `steps` batches; the picture is of the last, whose light was new to it."""
     data = multilight.make(out / "training", preset="tabletop", seed=30, scenes=3, views=4, width=128, height=128)
-    wanted = multilight.SampleSettings(size=64, length=16 * steps, split=None)
-    loader = DataLoader(multilight.MultiLightDataset(data.address, wanted), batch_size=16)
-    layers = [nn.Conv2d(8, 32, 3, 2, 1), nn.ReLU(), nn.Conv2d(32, 64, 3, 2, 1), nn.ReLU(), nn.Conv2d(64, 64, 3, 2, 1)]
-    network = nn.Sequential(*layers, nn.ReLU(), nn.AvgPool2d(8), nn.Flatten(), nn.Linear(64, 3))  # a gain a colour
-    optimizer = torch.optim.Adam(network.parameters(), 2e-3)
-    for step, batch in enumerate(loader):
-        composite, target, mask = batch["composite"], batch["target"], batch["mask"]
-        gain = network(torch.cat([composite, batch["background"], batch["depth"], mask], dim=1)).exp()[..., None, None]
-        result = composite * (1 - mask + mask * gain)
-        loss, before = (((picture - target).abs() * mask).sum() / mask.sum() for picture in (result, composite))
+    wanted = multilight.SampleSettings(size=96, length=8 * steps, split=None)
+    loader = DataLoader(multilight.MultiLightDataset(data.address, wanted), batch_size=8)
+    network = load_network(DEFAULT_WEIGHTS).train()
+    optimizer = torch.optim.Adam(network.parameters(), 3e-4)
+    errors = []
+    for step, batch in enumerate(loader, start=1):
+        composite, target = batch["composite"], batch["target"]
+        result = network(composite, batch["background"], batch["depth"], batch["mask"])
+        loss = (result - target).square().mean()
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
-        if step % 50 == 0:
-            print(f"step {step}: error in the object {loss:.3f}, of the composite {before:.3f}")
-
+        errors.append((loss.item(), (composite - target).square().mean().item()))
+        if step % 25 == 0 or step == steps:
+            ours, before = torch.tensor(errors[-25:]).sum(dim=0)
+            print(f"step {step}: {ours / before:.2f} of the composites' squared error")
     rows = [torch.cat(list(pictures[:6]), dim=2) for pictures in (composite, result, target)]
-    shown = torch.cat(rows, dim=1).detach().clamp(0, 1).permute(1, 2, 0).numpy() * 255
-    Image.fromarray(shown.astype(np.uint8)).save(out / "train_on_it.jpg", quality=90)
+    shown = torch.cat(rows, dim=1).detach().clamp(0, 1).permute(1, 2, 0) * 255
+    Image.fromarray(shown.byte().numpy()).save(out / "train_on_it.jpg", quality=90)
 
 
 if __name__ == "__main__":

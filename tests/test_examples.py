@@ -109,8 +109,8 @@ def test_read_with_openexr_alone(made: Path) -> None:
 def test_train_on_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with made_with(**SPHERES, scenes=1):
         example("train_on_it")(tmp_path, steps=3)
-    assert picture(tmp_path / "train_on_it.jpg").shape == (3 * 64, 6 * 64, 3)
-    assert "step 0: error" in capsys.readouterr().out
+    assert picture(tmp_path / "train_on_it.jpg").shape == (3 * 96, 6 * 96, 3)
+    assert "of the composites' squared error" in capsys.readouterr().out
 
 
 def test_add_a_kind_of_light(made: Path) -> None:
