@@ -33,20 +33,8 @@ from pathlib import Path
 
 from multilight.datagen.cli import main as command_line
 
-SETTINGS = [
-    "--kind",
-    "spheres",
-    "--renderer",
-    "analytic",
-    "--width",
-    "32",
-    "--height",
-    "32",
-    "--views",
-    "2",
-    "--spp",
-    "1",
-]
+SETTINGS = ["--kind", "spheres", "--renderer", "analytic", "--width", "32", "--height", "32"]
+SETTINGS += ["--views", "2", "--spp", "1"]
 SMALL = {
     "dtc-multilight": ("--size", "32", "--map-size", "16", "--workers", "1", "--conditions", "1", "--exposures", "1"),
     "webdataset": ("--shard-mb", "1"),

@@ -24,7 +24,7 @@ from multilight.model.configs.stage3d import SLIM3D, SceneTrainingConfig
 from multilight.model.device import chosen_device
 from multilight.model.evaluation.cases import LazyGroup, dataset_groups, with_subset
 from multilight.model.evaluation.method3d import SceneMethod
-from multilight.model.evaluation.run import Evaluation, Method, evaluate
+from multilight.model.evaluation.run import Evaluation, Method, evaluate, on_case
 from multilight.model.evaluation.settings import CaseSettings
 from multilight.model.inference.harmonize import network_harmonizer
 from multilight.model.networks.checkpoint import checkpoint_progress, load_network, load_network3d
@@ -233,8 +233,8 @@ def _trained(settings: AblationSettings, name: str, seed: int, values: Values) -
 def _methods(settings: AblationSettings, base: Values, runs: Sequence[Run]) -> dict[str, Method]:
     methods: dict[str, Method] = {COMPOSITE: lambda case: case.composite}
     if settings.weights_2d is None or settings.name != "order":
-        return methods | {run.method: _on_case(run.weights, settings.device) for run in runs}
-    methods[STAGE_2D] = _on_case(settings.weights_2d, settings.device)
+        return methods | {run.method: on_case(network_harmonizer(run.weights, settings.device)) for run in runs}
+    methods[STAGE_2D] = on_case(network_harmonizer(settings.weights_2d, settings.device))
     device = chosen_device(settings.device)
     stage2d = load_network(settings.weights_2d).to(device)
     for name, carry in ((AVERAGED, "average"), (CARRIED, "pixel")):
@@ -243,11 +243,6 @@ def _methods(settings: AblationSettings, base: Values, runs: Sequence[Run]) -> d
     for run in runs:
         methods[run.method] = SceneMethod(stage2d, load_network3d(run.weights).to(device), base["side"])
     return methods
-
-
-def _on_case(weights: Path, device: str) -> Method:
-    harmonizer = network_harmonizer(weights, device)
-    return lambda case: harmonizer(case.composite, case.background, case.depth, case.mask)
 
 
 def _groups(settings: AblationSettings) -> list[LazyGroup]:

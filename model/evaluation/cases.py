@@ -4,6 +4,7 @@ import functools
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -125,17 +126,11 @@ def _group(
         arrays = {name: values.numpy() for name, values in sample.items()}
         if arrays["mask"].sum() < settings.visible:
             continue
-        cases.append(
-            Case(
-                f"scene {record.index}, {draw.place.object}, view {view}",
-                composite=arrays["composite"].transpose(1, 2, 0),
-                background=arrays["background"].transpose(1, 2, 0),
-                depth=arrays["depth"][0],
-                mask=arrays["mask"][0],
-                target=arrays["target"].transpose(1, 2, 0),
-                effect=arrays["effect"].transpose(1, 2, 0),
-            )
-        )
+        name = f"scene {record.index}, {draw.place.object}, view {view}"
+        pictures: dict[str, Any] = {
+            key: arrays[key].transpose(1, 2, 0) for key in ("composite", "background", "target", "effect")
+        }
+        cases.append(Case(name, **pictures, depth=arrays["depth"][0], mask=arrays["mask"][0]))
         cameras.append(camera_of(arrays["K"], arrays["c2w"], arrays["mask"].shape[1:]))
         depths.append(arrays["z_depth"][0])
     subsets = subsets_of(record, draw.place.object, light_fractions(views, base))

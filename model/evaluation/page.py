@@ -22,12 +22,6 @@ from multilight.model.inference.pictures import to_bytes
 from multilight.scenes.arrays import Float32
 
 DIGITS = {"PSNR": 2, "SSIM": 4, "FLIP": 4, "LPIPS": 4}
-UNITS = {
-    "PSNR": "dB, higher is better",
-    "SSIM": "higher is better",
-    "FLIP": "lower is better",
-    "LPIPS": "lower is better",
-}
 
 
 @dataclass(frozen=True)
@@ -82,7 +76,8 @@ def _metric_table(metric: str, means: Mapping[str, Scores]) -> Table:
         for method, scores in means.items()
     }
     higher: tuple[bool | None, ...] = (HIGHER_IS_BETTER[metric],) * len(regions)
-    return Table(metric, UNITS[metric], regions, rows, (DIGITS[metric],) * len(regions), higher)
+    unit = f"{'dB, ' if metric == 'PSNR' else ''}{'higher' if HIGHER_IS_BETTER[metric] else 'lower'} is better"
+    return Table(metric, unit, regions, rows, (DIGITS[metric],) * len(regions), higher)
 
 
 def _cost_table(found: Evaluation) -> Table:

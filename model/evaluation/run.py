@@ -99,11 +99,13 @@ def methods_of(models: Mapping[str, Harmonizer]) -> dict[str, Method]:
     def classical(baseline: Baseline) -> Method:
         return lambda case: baseline(case.composite, case.background, case.mask)
 
-    def learned(harmonizer: Harmonizer) -> Method:
-        return lambda case: harmonizer(case.composite, case.background, case.depth, case.mask)
-
     methods = {name: classical(baseline) for name, baseline in BASELINES.items()}
-    return methods | {name: learned(harmonizer) for name, harmonizer in models.items()}
+    return methods | {name: on_case(harmonizer) for name, harmonizer in models.items()}
+
+
+def on_case(harmonizer: Harmonizer) -> Method:
+    """Return a harmonizer of pictures as a method of the evaluation."""
+    return lambda case: harmonizer(case.composite, case.background, case.depth, case.mask)
 
 
 def evaluate(

@@ -74,7 +74,7 @@ class SplatScene:
         One that no view shows takes the colour of the pixel it came from.
         """
         values = _flat(images)
-        sums = _Product.apply(self.transposed, self.matrix, torch.cat((values, torch.ones_like(values[:, :1])), dim=1))
+        sums = _Product.apply(self.transposed, self.matrix, _with_ones(values))
         weight = sums[:, -1:]
         return torch.where(weight > UNSEEN, sums[:, :-1] / weight.clamp(min=UNSEEN), values[self.sources])
 
@@ -83,20 +83,16 @@ class SplatScene:
 
         (V, C, H, W) → (V, C, H, W), divided by the coverage.
         """
-        values = _flat(images)  # (V * P, C)
-        pixels = self.height * self.width
-        blocks = torch.zeros(len(values), self.views * (values.shape[1] + 1), dtype=values.dtype, device=values.device)
-        width = values.shape[1] + 1
-        for view in range(self.views):
-            rows = slice(view * pixels, (view + 1) * pixels)
-            blocks[rows, view * width : (view + 1) * width - 1] = values[rows]
-            blocks[rows, (view + 1) * width - 1] = 1.0
-        sums = (self.transposed @ blocks).unflatten(1, (self.views, width))  # (N, V, C + 1)
+        values = _with_ones(_flat(images)).unflatten(0, (self.views, -1))  # (V, P, C + 1)
+        each = torch.arange(self.views, device=values.device)
+        blocks = values.new_zeros(*values.shape[:2], self.views, values.shape[2])
+        blocks[each, :, each] = values
+        sums = (self.transposed @ blocks.reshape(len(self.matrix), -1)).unflatten(1, (self.views, -1))  # (N, V, C + 1)
         carried = sums[..., :-1] / sums[..., -1:].clamp(min=UNSEEN)
         both = torch.cat((carried, (sums[..., -1:] > UNSEEN).to(values.dtype)), dim=-1)
-        rendered = (self.matrix @ both.flatten(1)).unflatten(1, (self.views, width))  # (V * P, V, C + 1)
-        own = torch.cat([rendered[v * pixels : (v + 1) * pixels, v] for v in range(self.views)])
-        shown = own[:, :-1] / own[:, -1:].clamp(min=UNSEEN)
+        rendered = (self.matrix @ both.flatten(1)).unflatten(1, (self.views, -1)).unflatten(0, (self.views, -1))
+        own = rendered[each, :, each]  # (V, P, C + 1)
+        shown = own[..., :-1] / own[..., -1:].clamp(min=UNSEEN)
         return shown.reshape(self.views, self.height, self.width, -1).permute(0, 3, 1, 2)
 
     def covered(self) -> Tensor:
@@ -173,6 +169,10 @@ def _matrices(cameras: Sequence[Camera], gaussians: Gaussians) -> tuple[Tensor, 
 
 def _flat(images: Tensor) -> Tensor:
     return images.permute(0, 2, 3, 1).reshape(-1, images.shape[1])
+
+
+def _with_ones(values: Tensor) -> Tensor:
+    return torch.cat((values, torch.ones_like(values[:, :1])), dim=1)
 
 
 def _sparse(matrix: csr_matrix) -> Tensor:

@@ -43,30 +43,25 @@ class Trainer2D(Trainer[Batch]):
         self.module: nn.Module = DistributedDataParallel(self.network) if process.world > 1 else self.network
         self._batches: Iterator[dict[str, Any]] | None = None
 
-    def make_network(self) -> Compositing2D:
-        """Make the network, untrained."""
+    def _make_network(self) -> Compositing2D:
         return Compositing2D(self.config.network)
 
-    def validation(self) -> list[Batch]:
-        """Load what is validated on."""
+    def _validation(self) -> list[Batch]:
         return validation_batches(self.config.data, self.config.stages[-1], self.device)
 
-    def next_sample(self, done: float) -> Batch:
-        """Return the next batch of the stage that is on."""
+    def _next_sample(self, done: float) -> Batch:
         stage = stage_at(self.config, done)
         if self._batches is None or stage != self.stage:
             self.stage = stage
             self._batches = training_batches(self.config, stage, self.progress.step, self.process)
         return Batch.of(next(self._batches), self.device)
 
-    def losses(self, sample: Batch) -> dict[str, Tensor]:
-        """Return the losses of each picture, (B,)."""
+    def _losses(self, sample: Batch) -> dict[str, Tensor]:
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.bf16):
             image = self.module(sample.composite, sample.background, sample.depth, sample.mask)
         return self.loss(image.float(), sample.target, sample.mask, sample.effect)
 
-    def images(self, sample: Batch) -> Images:
-        """Return the raw composites and what the averaged network makes of them."""
+    def _images(self, sample: Batch) -> Images:
         image = self.average(sample.composite, sample.background, sample.depth, sample.mask)
         return {"composite": sample.composite, "network": image}
 

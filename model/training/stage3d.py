@@ -25,29 +25,24 @@ class Trainer3D(Trainer[SceneSample]):
         super().__init__(config, device)
         self.samples = SceneSamples(config, device)
 
-    def make_network(self) -> SceneNetwork:
-        """Load the 2D stage and make the network, untrained."""
+    def _make_network(self) -> SceneNetwork:
         self.stage2d = load_network(self.config.weights_2d).to(self.device).requires_grad_(False)
         return scene_network(self.config.network)
 
-    def validation(self) -> Iterable[SceneSample]:
-        """Open what is validated on."""
+    def _validation(self) -> Iterable[SceneSample]:
         count = self.config.data.validation_samples
         return SceneSamples(self.config, self.device, validation=True) if count else ()
 
-    def next_sample(self, done: float) -> SceneSample:
-        """Return the sample of this step."""
+    def _next_sample(self, done: float) -> SceneSample:
         return self.samples[self.progress.step]
 
-    def losses(self, sample: SceneSample) -> dict[str, Tensor]:
-        """Return the loss, (): half on the map, half on the views."""
+    def _losses(self, sample: SceneSample) -> dict[str, Tensor]:
         colors, views = self._together(self.network, sample, self._alone(sample))
         on_map = ((colors - sample.scene.carry(sample.target)) ** 2).mean()
         on_views = self.loss(views, sample.target, sample.mask, sample.effect)["loss"].mean()
         return {"loss": 0.5 * on_map + 0.5 * on_views}
 
-    def images(self, sample: SceneSample) -> Images:
-        """Return the raw composites and what the 2D stage and the averaged network make of them."""
+    def _images(self, sample: SceneSample) -> Images:
         alone = self._alone(sample)
         return {"composite": sample.composite, "2D": alone, "3D": self._together(self.average, sample, alone)[1]}
 

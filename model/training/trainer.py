@@ -43,7 +43,7 @@ class Trainer(ABC, Generic[Sample]):
         """Make the network; goes on from the newest checkpoint in `config.out`, where there is one."""
         self.config, self.device, self.process = config, device, process
         torch.manual_seed(config.seed)
-        self.network = self.make_network().to(device)
+        self.network = self._make_network().to(device)
         self.average = copy.deepcopy(self.network).requires_grad_(False).eval()
         self.optimizer = make_optimizer(self.network, config)
         self.loss = CompositingLoss(config.loss).to(device)
@@ -56,23 +56,23 @@ class Trainer(ABC, Generic[Sample]):
             )
 
     @abstractmethod
-    def make_network(self) -> nn.Module:
+    def _make_network(self) -> nn.Module:
         """Make the network, untrained."""
 
     @abstractmethod
-    def validation(self) -> Iterable[Sample]:
+    def _validation(self) -> Iterable[Sample]:
         """Open what is validated on, in the first process only; empty for no validation."""
 
     @abstractmethod
-    def next_sample(self, done: float) -> Sample:
+    def _next_sample(self, done: float) -> Sample:
         """Return what the next step learns from, `done` of the training being done."""
 
     @abstractmethod
-    def losses(self, sample: Sample) -> dict[str, Tensor]:
+    def _losses(self, sample: Sample) -> dict[str, Tensor]:
         """Return figures to log, of each picture or of all together; their mean "loss" is minimized."""
 
     @abstractmethod
-    def images(self, sample: Sample) -> Images:
+    def _images(self, sample: Sample) -> Images:
         """Return what is compared with the target in validation, by name, the network's own last."""
 
     def done(self) -> float:
@@ -95,7 +95,7 @@ class Trainer(ABC, Generic[Sample]):
             f"loss {self.config.loss.pixels} + {self.loss.label}, from step {self.progress.step}"
         )
         try:
-            validation = self.validation() if self.process.rank == 0 else ()
+            validation = self._validation() if self.process.rank == 0 else ()
             with _stop_asked() as asked:
                 self._steps(log, validation, asked)
             if asked.is_set():
@@ -126,11 +126,11 @@ class Trainer(ABC, Generic[Sample]):
         step, rate = self.progress.step, learning_rate(self.config, self.progress.step, done)
         for group in self.optimizer.param_groups:
             group["lr"] = rate
-        sample = self.next_sample(done)
+        sample = self._next_sample(done)
         self.network.train()
         self.optimizer.zero_grad(set_to_none=True)
         try:
-            losses = self.losses(sample)
+            losses = self._losses(sample)
             _check_finite(losses["loss"], sample, step)
             losses["loss"].mean().backward()
         except torch.cuda.OutOfMemoryError as error:
@@ -179,7 +179,7 @@ class Trainer(ABC, Generic[Sample]):
         """Return mean regional PSNR [dB] over the validation samples by name, and show the first of them."""
         found: dict[str, list[Tensor]] = {}
         for sample in validation:
-            images = self.images(sample)
+            images = self._images(sample)
             if not found:
                 log.sheet(sample_sheet(sample, list(images.values())[-1]), self.progress.step)
             for name, image in images.items():

@@ -25,16 +25,9 @@ FIELDS = (
     *(f"scale_{i}" for i in range(3)),
     *(f"rot_{i}" for i in range(4)),
 )
-TYPES = {
-    **dict.fromkeys(("float", "float32"), "f4"),
-    **dict.fromkeys(("double", "float64"), "f8"),
-    **dict.fromkeys(("uchar", "uint8"), "u1"),
-    **dict.fromkeys(("char", "int8"), "i1"),
-    **dict.fromkeys(("ushort", "uint16"), "u2"),
-    **dict.fromkeys(("short", "int16"), "i2"),
-    **dict.fromkeys(("uint", "uint32"), "u4"),
-    **dict.fromkeys(("int", "int32"), "i4"),
-}
+TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
+TYPES |= {"float": "f4", "double": "f8"}
+TYPES |= {np.dtype(kind).name: kind for kind in TYPES.values()}  # int8, uint8, … are their other names
 OPAQUE = 1.0 - 1e-6  # the logit of 1 is infinite
 LEAST_SCALE = 1e-12  # metres; the logarithm of 0 is infinite
 
@@ -68,17 +61,17 @@ def read_gaussians(path: Path) -> Gaussians:
     if missing:
         raise ValueError(f"{path} holds no Gaussians: its vertices have no {', '.join(missing)}")
 
-    def columns(*names: str) -> Float64:
-        return np.stack([vertices[name].astype(np.float64) for name in names], axis=-1)
+    def columns(start: str) -> Float64:
+        return np.stack([vertices[name].astype(np.float64) for name in FIELDS if name.startswith(start)], axis=-1)
 
-    quats = columns(*(f"rot_{i}" for i in range(4)))
+    quats = columns("rot_")
     length = np.linalg.norm(quats, axis=-1, keepdims=True)
     values = Gaussians(
-        means=columns("x", "y", "z").astype(np.float32),
+        means=np.stack([vertices[axis] for axis in "xyz"], axis=-1).astype(np.float32),
         quats=(quats / np.where(length > 0, length, 1.0)).astype(np.float32),
-        scales=np.exp(columns(*(f"scale_{i}" for i in range(3)))).astype(np.float32),
-        opacities=(1.0 / (1.0 + np.exp(-columns("opacity")[:, 0]))).astype(np.float32),
-        colors=(0.5 + C0 * columns(*(f"f_dc_{i}" for i in range(3)))).astype(np.float32),
+        scales=np.exp(columns("scale_")).astype(np.float32),
+        opacities=(1.0 / (1.0 + np.exp(-vertices["opacity"].astype(np.float64)))).astype(np.float32),
+        colors=(0.5 + C0 * columns("f_dc_")).astype(np.float32),
     )
     if (bad := ~np.isfinite(values.means).all(axis=1) | ~np.isfinite(values.scales).all(axis=1)).any():
         raise ValueError(f"{path}: Gaussian {int(np.argmax(bad))} has a place or a size that is not finite")

@@ -208,8 +208,8 @@ def test_overfits_one_batch(head: str) -> None:
 class Poisoned(Trainer2D):
     """A training whose second step meets a picture with a NaN."""
 
-    def next_sample(self, done: float) -> Batch:
-        batch = super().next_sample(done)
+    def _next_sample(self, done: float) -> Batch:
+        batch = super()._next_sample(done)
         if self.progress.step == 1:
             batch.target[2, 0, 3, 3] = float("nan")
         return batch
