@@ -12,5 +12,6 @@ def chosen_device(name: str) -> torch.device:
     try:
         torch.zeros(1, device=name).item()
         return torch.device(name)
+    # Torch says so in as many ways as it has kinds of device.
     except (RuntimeError, AssertionError, NotImplementedError) as error:
         raise UserError(f"device {name!r} cannot be used: {str(error).splitlines()[0]}; try cpu, or auto") from None

@@ -1,5 +1,6 @@
 """What every pack is: a set of assets under one name."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -7,7 +8,7 @@ from multilight.scenes.assets.info import AssetError, AssetInfo
 from multilight.scenes.meshes import Mesh
 
 
-class Pack:
+class Pack(ABC):
     """A set of assets under one name. Names of assets are given without the `pack/` in front.
 
     A pack says what it holds; of what it does not say it has none, and asking for that raises `AssetError`.
@@ -15,9 +16,9 @@ class Pack:
 
     name: str
 
+    @abstractmethod
     def infos(self) -> Sequence[AssetInfo]:
         """List the pack's assets; quick, opens no model."""
-        raise NotImplementedError
 
     def mesh_key(self, name: str) -> str:
         """Hash what a model's conversion depends on (file and code), quickly."""
