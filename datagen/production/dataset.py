@@ -159,6 +159,11 @@ def _open_record(plan: Plan, renderer: RendererName) -> DatasetRecord:
             f"{plan.root} was made with renderer {record.renderer!r} and cannot be continued with {renderer!r}; "
             f"use --renderer {record.renderer} or another --out"
         )
+    if record.variant == "scalar_rgb":
+        raise UserError(
+            f"{plan.root} was made with Mitsuba's variant 'scalar_rgb', which is gone and looks different; "
+            "it can be read, but not continued: use another --out"
+        )
     old, new = record.config.model_dump(), plan.config.model_dump()
     for key in sorted(set(old) - {"scenes", "renderer"}):
         if old[key] != new[key]:
