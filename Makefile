@@ -1,10 +1,17 @@
-# Two commands do everything on a fresh Debian or Ubuntu with Python 3.11, git and make:
-#   make dataset    sets up, fetches assets, renders a small dataset, verifies it, makes a contact sheet
-#   make test       sets up and runs every test, several files at once
-# And:
-#   make quick      in a minute and a half, what a change of pure code needs
-#   make train      renders or reuses a training set, trains the slim 2D model for 15 minutes, evaluates it on what it has never seen
-# Variables: make dataset OUT=… SCENES=… SEED=… WORKERS=… CONFIG=…
+# Two commands do everything on a fresh Debian or Ubuntu with Python 3.11, git and make: `make dataset` and `make test`.
+define HELP
+make dataset    sets up, fetches assets, renders a small dataset, verifies it, makes a contact sheet
+make test       sets up and runs every test, several files at once
+make quick      in a minute and a half, what a change of pure code needs
+make train      renders or reuses a training set, trains the slim 2D model for 15 minutes, and evaluates it
+make check      format, lints, types, who imports what
+make format     puts format and imports right
+make assets     sets up and fetches assets and what renders fast
+make clean      removes all that these made here
+
+Variables of make dataset: OUT=out/dataset SCENES=… SEED=… WORKERS=… CONFIG=file.toml
+endef
+export HELP
 
 OUT ?= out/dataset
 SCENES ?=
@@ -15,7 +22,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 
 BIN := .venv/bin
 MULTILIGHT := $(BIN)/multilight
-PIP := $(BIN)/pip --quiet --disable-pip-version-check install -c constraints.txt
+PIP := $(BIN)/pip --quiet --disable-pip-version-check --no-input install -c constraints.txt
 OPTIONS := $(if $(SCENES),--scenes $(SCENES)) $(if $(SEED),--seed $(SEED)) \
 	$(if $(WORKERS),--workers $(WORKERS)) $(if $(CONFIG),--config $(CONFIG))
 # What bpy and Dr.Jit link against and a bare system lacks. Without root they are unpacked into .venv/system.
@@ -27,8 +34,11 @@ QUICK := tests/lights tests/scenes/files tests/datagen/test_compose.py tests/dat
 	tests/datagen/test_text.py tests/model/test_losses.py tests/model/test_metrics.py tests/test_boundaries.py tests/test_documents.py
 AS_ROOT := $(filter 0,$(shell id -u))
 
-.PHONY: dataset assets test quick train check format clean system-libraries
-.DEFAULT_GOAL := dataset
+.PHONY: help dataset assets test quick train check format clean system-libraries
+.DEFAULT_GOAL := help
+
+help:
+	@echo "$$HELP"
 
 dataset: assets
 	$(MULTILIGHT) dataset --out $(OUT) $(OPTIONS)
@@ -83,18 +93,21 @@ endif
 	@$(PYTHON) -c 'import ensurepip' 2>/dev/null || $(if $(AS_ROOT),{ apt-get update -qq && \
 		apt-get install -qq -y --no-install-recommends python3.11-venv; },{ echo \
 		"Python's venv module is incomplete; run: sudo apt-get install python3.11-venv"; exit 1; })
-	$(PYTHON) -m venv .venv
-	touch $@
+	@$(PYTHON) -m venv .venv
+	@touch $@
 
 .venv/installed: .venv/python pyproject.toml constraints.txt
-	$(PIP) -e '.[render]'
+	@echo "Setting up .venv with Blender, Mitsuba and what they need (1 to 5 minutes, 3 GB) ..."
+	@$(PIP) -e '.[render]'
 	@$(BIN)/python -c 'from multilight.datagen.backends import blender; import drjit' 2>/dev/null || $(MAKE) system-libraries
-	touch $@
+	@touch $@
 
 .venv/installed-train: .venv/installed
-	$(PIP) -e '.[render,train]'
-	touch $@
+	@echo "Adding torch (about a minute) ..."
+	@$(PIP) -e '.[render,train]'
+	@touch $@
 
 .venv/installed-dev: .venv/installed
-	$(PIP) -e '.[dev]'
-	touch $@
+	@echo "Adding torch and what the tests need (1 to 3 minutes) ..."
+	@$(PIP) -e '.[dev]'
+	@touch $@

@@ -22,3 +22,21 @@ def terminal(text: str) -> str:
 def markdown(text: str) -> str:
     """Return the text as it stands in Markdown: one line, nothing in it marks anything up, tables included."""
     return _MARKUP.sub(r"\\\g<0>", plain(text))
+
+
+def duration(seconds: float) -> str:
+    """Say a time: `45 s`, `3 min 05 s`, `2 h 10 min`."""
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    return (
+        f"{whole // 60} min {whole % 60:02d} s" if whole < 3600 else f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+    )
+
+
+def size(count: int) -> str:
+    """Say a number of bytes: `512 kB`, `1.3 GB`."""
+    value, units = float(count), ["B", "kB", "MB", "GB", "TB"]
+    while value >= 999.5 and len(units) > 1:
+        value, units = value / 1000, units[1:]
+    return f"{value:.3g} {units[0]}"

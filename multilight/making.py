@@ -11,9 +11,9 @@ from multilight.datagen.backends.protocol import BackendError
 from multilight.datagen.commands.output import progress as shown
 from multilight.datagen.config.dataset import DatasetConfig, load_config
 from multilight.datagen.config.presets import PRESETS, Preset
-from multilight.datagen.errors import StoreError, UserError
-from multilight.datagen.production.dataset import Outcome, Plan, default_workers, make_dataset
-from multilight.datagen.storage.store import read_dataset
+from multilight.datagen.errors import UserError
+from multilight.datagen.production.dataset import Outcome, Plan, default_workers, make_dataset, settings_of
+from multilight.datagen.report import silent
 from multilight.datagen.text import plain
 from multilight.reading import Dataset, Scene, open
 from multilight.scenes.assets.info import AssetError
@@ -69,13 +69,8 @@ def _configuration(
     """Lay settings over file, preset and what the dataset was made with."""
     if preset is not None and preset not in PRESETS:
         raise UserError(f"preset {preset!r}: there are {', '.join(PRESETS)}")
-    below: dict[str, Any] = {}
-    if (out / "dataset.json").exists():
-        with contextlib.suppress(StoreError):  # damaged: told where it is continued
-            record = read_dataset(out)
-            below = record.config.model_dump(exclude={"renderer"}) | {"renderer": record.renderer}
     try:
-        return load_config(None if config is None else Path(config), settings, preset, below)
+        return load_config(None if config is None else Path(config), settings, preset, settings_of(out))
     except UserError as error:
         raise UserError(str(error).removeprefix("command line: ")) from None
 
@@ -94,7 +89,7 @@ def _made(
     folders = tuple(Path(folder) for folder in ([assets] if isinstance(assets, str | Path) else assets))
     plan = Plan(out, config, indices, workers or default_workers(len(indices)), folders, repair)
     try:
-        with _no_main(), shown("views") if progress else contextlib.nullcontext(_silent) as report:
+        with _no_main(), shown("views", "starting") if progress else contextlib.nullcontext(silent) as report:
             outcome = make_dataset(plan, report)
     except (AssetError, BackendError) as error:
         raise UserError(str(error)) from error
@@ -109,10 +104,6 @@ def _tell(outcome: Outcome) -> None:
     if outcome.failures:
         index, reason = min(outcome.failures.items())
         raise UserError(f"{len(outcome.failures)} scenes failed, {len(outcome.made)} were made; {index}: {reason}")
-
-
-def _silent(done: float, total: float) -> None:
-    pass
 
 
 @contextlib.contextmanager

@@ -27,7 +27,7 @@ class DtcMultilight(DtcExport):
         from multilight.datagen.commands.output import progress
         from multilight.datagen.export.dtc.export import export_dtc
 
-        with progress("views") as report:
+        with progress("views", "exporting") as report:
             outcome = export_dtc(self, report)
         for index, reason in outcome.failures.items():
             print(plain(f"failed: scene {index}: {reason}"), file=sys.stderr)
@@ -55,7 +55,7 @@ class _Source:
         from multilight.datagen.storage.source import open_dataset
 
         source = open_dataset(self.dir, where=self.where, on_broken=self.on_broken)
-        with progress("scenes") as report:
+        with progress("scenes", "exporting") as report:
             yield source, report
         if source.skipped:
             print(f"passed over {len(source.skipped)} of {len(source.indices)} scenes:")

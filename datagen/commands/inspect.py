@@ -35,7 +35,7 @@ class Verify:
 
     def run(self) -> int:
         """Verify and return the exit code."""
-        from multilight.datagen.commands.output import print_verification
+        from multilight.datagen.commands.output import print_verification, progress
         from multilight.datagen.verification.copies import copy_at, print_copy_verification
         from multilight.datagen.verification.dataset import verify_dataset
 
@@ -43,7 +43,9 @@ class Verify:
             return print_copy_verification(copy, quick=self.quick, source=self.source, as_json=self.json)
         if self.source is not None:
             raise UserError(f"--source goes with a packed copy or an export, and {self.dir} is neither")
-        return print_verification(self.dir, verify_dataset(self.dir, quick=self.quick), as_json=self.json)
+        with progress("scenes", "verifying") as report:
+            checked = verify_dataset(self.dir, quick=self.quick, report=report)
+        return print_verification(self.dir, checked, as_json=self.json)
 
 
 class Mix(MixRequest):
@@ -128,7 +130,7 @@ class Stats:
 
         if (self.dir is None) == (self.sample is None):
             raise UserError("say either which dataset to measure (multilight stats DIR) or --sample N")
-        with progress("scenes") as report:
+        with progress("scenes", "measuring") as report:
             if self.dir is not None:
                 library = AssetLibrary(folders=self.assets)
                 return measure_dataset(self.dir, library, report), self.out or file_inside(self.dir, "stats")

@@ -1,18 +1,21 @@
 """Commands that make scenes: `dataset`, `scene`."""
 
-import contextlib
-import json
 import sys
+import time
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
 from multilight.datagen.config.dataset import DatasetConfig, Denoise, Kind, Renderer, load_config
 from multilight.datagen.config.presets import Preset
-from multilight.datagen.errors import StoreError, UserError
-from multilight.datagen.text import plain
+from multilight.datagen.errors import UserError
+from multilight.datagen.text import duration, plain, size
+
+if TYPE_CHECKING:
+    from multilight.datagen.production.dataset import Outcome, Plan
 
 
 def config_key(key: str) -> Any:
@@ -47,16 +50,11 @@ class _Options:
 
     def configuration(self, **more: object) -> DatasetConfig:
         """Return what to make: what is given, over the dataset's own settings where it is there, else the defaults."""
-        from multilight.datagen.storage.store import read_dataset
+        from multilight.datagen.production.dataset import settings_of
 
         options = {key: value for key, value in vars(self).items() if key in DatasetConfig.model_fields} | more
         options["keep_raw"] = self.keep_raw or None
-        below = {}
-        if (self.out / "dataset.json").exists():
-            with contextlib.suppress(StoreError):  # damaged: told where it is continued
-                record = read_dataset(self.out)
-                below = record.config.model_dump(exclude={"renderer"}) | {"renderer": record.renderer}
-        return load_config(self.config, options, self.preset, below)
+        return load_config(self.config, options, self.preset, settings_of(self.out))
 
 
 @dataclass(kw_only=True)
@@ -115,7 +113,8 @@ def make_scenes(
     if note := slow_note(config.renderer):
         print(note, file=sys.stderr)
     plan = Plan(out, config, indices, workers or default_workers(len(indices)), assets, repair)
-    with progress("views") as report:
+    start = time.monotonic()
+    with progress("views", "starting") as report:
         outcome = make_dataset(plan, report)
     if outcome.broken:
         print(f"passed over {len(outcome.broken)} broken assets:", file=sys.stderr)
@@ -125,11 +124,32 @@ def make_scenes(
         print(f"scene {index} is not what it was: assets or versions are others now", file=sys.stderr)
     for index, reason in outcome.failures.items():
         print(plain(f"failed: scene {index}: {reason}"), file=sys.stderr)
-    if spent := sum(outcome.seconds.values()):
-        print(", ".join(f"{stage} {took / spent:.0%}" for stage, took in outcome.seconds.items()) + " of the time")
-    if outcome.made or outcome.failures:
-        summary = {"made": len(outcome.made), "kept": outcome.kept, "failed": len(outcome.failures)}
-        print(f"{out}: " + json.dumps(summary).strip("{}").replace('"', ""))
-    else:
-        print(f"{out}: nothing to do, all {outcome.kept} scenes are there")
+    print(plain(f"{out}: " + summary(plan, outcome, time.monotonic() - start)))
     return 1 if outcome.failures else 0
+
+
+def summary(plan: "Plan", outcome: "Outcome", seconds: float) -> str:
+    """Say in a line how a run went: scenes, time and what it went to, size, draws thrown away by reason."""
+    from multilight.datagen.storage.store import scene_dir
+
+    count = len(outcome.made) + outcome.kept
+    if not outcome.made and not outcome.failures:
+        return f"nothing to do, all {count} scenes are there"
+    told = [
+        f"{len(outcome.made)} made, {outcome.kept} kept"
+        + (f", {len(outcome.failures)} failed" * bool(outcome.failures))
+    ]
+    files = [view for index in outcome.made for view in (scene_dir(plan.root, index) / "views").iterdir()]
+    told.append(f"{len(files)} views, {size(sum(file.stat().st_size for file in files))}")
+    spent = sum(outcome.seconds.values()) or 1.0
+    stages = ", ".join(f"{stage} {took / spent:.0%}" for stage, took in outcome.seconds.items())
+    told.append(f"{duration(seconds)} ({stages})")
+    if outcome.thrown_away:
+        reasons = Counter(reason.partition(":")[0] for reason in outcome.thrown_away)
+        listed = ", ".join(f"{name} {number}" for name, number in reasons.most_common())
+        told.append(f"{len(outcome.thrown_away)} drawn anew ({listed})")
+    wanted = count + len(outcome.failures)
+    whole = (
+        f"{count} of {wanted} scenes ok" if outcome.failures else f"all {count} scenes ok" if count > 1 else "scene ok"
+    )
+    return f"{whole}: " + "; ".join(told)

@@ -2,68 +2,112 @@
 
 import contextlib
 import json
+import threading
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import asdict
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from multilight.datagen.report import Report
 from multilight.datagen.storage.source import repair_command
-from multilight.datagen.text import plain, terminal
+from multilight.datagen.text import duration, plain, terminal
 from multilight.datagen.verification.dataset import ANEW, Result, Verification
 from multilight.datagen.verification.views import CHECKS
 
-PLAIN_INTERVAL = 15.0  # seconds between progress lines where there is no terminal
+FIRST_LINE, LINES = 10.0, 60.0
+"""Seconds to the first line of progress and from one to the next where there is no terminal."""
+
+
+@dataclass
+class _Meter:
+    """How far a run is, in words."""
+
+    unit: str
+    note: str
+    start: float
+    done: float = 0.0
+    total: float = 0.0
+
+    def update(self, done: float, total: float, note: str) -> None:
+        self.done, self.total, self.note = done, total, note or self.note
+
+    @property
+    def elapsed(self) -> float:
+        return max(time.monotonic() - self.start, 1e-9)
+
+    def count(self) -> str:
+        """Say how much is done of how much, and how fast: `12/64 views, 0.45/s`."""
+        if not self.total:
+            return ""
+        rate = f", {self.done / self.elapsed:.3g}/s" if self.done else ""
+        return f"{self.done:.0f}/{self.total:.0f} {self.unit}{rate}"
+
+    def left(self) -> str:
+        """Say how long it will take if it goes on as it did."""
+        return duration(self.elapsed * (self.total - self.done) / self.done) if self.done else "unknown"
 
 
 @contextlib.contextmanager
-def progress(unit: str) -> Iterator[Callable[[float, float], None]]:
-    """Show progress as a bar on a terminal, as a line now and then elsewhere; yields `report(done, total)`."""
+def progress(unit: str, note: str) -> Iterator[Report]:
+    """Show progress as a bar on a terminal, as a line a minute elsewhere; yields what to report to.
+
+    `note` says what is going on until a report says otherwise. What is over within seconds shows no line.
+    """
     console = Console(stderr=True)
-    start = time.monotonic()
-    if not console.is_terminal:
-        yield _plain_report(console, unit, start)
-        return
+    meter = _Meter(unit, note, time.monotonic())
+    with _bar(console, meter) if console.is_terminal else _lines(console, meter) as report:
+        yield report
+
+
+@contextlib.contextmanager
+def _bar(console: Console, meter: _Meter) -> Iterator[Report]:
     columns = (
-        BarColumn(),
-        MofNCompleteColumn(),
         TextColumn("{task.description}"),
+        BarColumn(bar_width=12),
+        TextColumn("{task.fields[count]}"),
         TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
+        TextColumn("{task.fields[left]}"),
     )
     with Progress(*columns, console=console) as bar:
-        task = bar.add_task(unit, total=None)
+        task = bar.add_task(meter.note, total=None, count="", left="elapsed")
 
-        def report(done: float, total: float) -> None:
-            rate = done / max(time.monotonic() - start, 1e-9)
-            bar.update(task, completed=done, total=total, description=f"{unit}, {rate:.2f}/s")
+        def report(done: float, total: float, note: str = "") -> None:
+            meter.update(done, total, note)
+            left = f"elapsed, {meter.left()} left" if meter.done else "elapsed"
+            bar.update(
+                task, completed=done, total=total or None, description=meter.note, count=meter.count(), left=left
+            )
 
         yield report
 
 
-def _plain_report(console: Console, unit: str, start: float) -> Callable[[float, float], None]:
-    last = start
+@contextlib.contextmanager
+def _lines(console: Console, meter: _Meter) -> Iterator[Report]:
+    over = threading.Event()
 
-    def report(done: float, total: float) -> None:
-        nonlocal last
-        now = time.monotonic()
-        if now - last < PLAIN_INTERVAL and done < total:
-            return
-        last = now
-        rate = done / max(now - start, 1e-9)
-        left = f"{(total - done) / rate:.0f} s left" if rate > 0 else "time left unknown"
-        console.print(f"{done:.0f}/{total:.0f} {unit}, {rate:.2f}/s, {left}", highlight=False)
+    def tell() -> None:
+        wait = FIRST_LINE
+        while not over.wait(wait):
+            wait = LINES
+            told = [meter.note, meter.count(), f"{duration(meter.elapsed)} elapsed, {meter.left()} left"]
+            console.print(", ".join(part for part in told if part), highlight=False, soft_wrap=True)
 
-    return report
+    teller = threading.Thread(target=tell, daemon=True)
+    teller.start()
+    try:
+        yield lambda done, total, note="": meter.update(done, total, note)
+    finally:
+        over.set()
+        teller.join()
 
 
 def print_verification(root: str, verification: Verification, *, as_json: bool) -> int:
     """Print what was checked and return the exit code: 1 on any fault or where there is no scene."""
-    checked = list(verification.results)
+    checked = verification.results
     faults = [fault for _, found in checked for fault in found]
     scenes = [result for result in checked if result[0] is not None]
     if as_json:

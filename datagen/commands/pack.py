@@ -28,7 +28,7 @@ class Pack:
         if self.workers is not None and self.workers < 1:
             raise UserError(f"--workers {self.workers} must be 1 or more")
         workers = self.workers or len(os.sched_getaffinity(0))
-        with progress("scenes") as report:
+        with progress("scenes", "packing") as report:
             packed = pack_dataset(self.dir, self.out, workers=workers, report=report)
         if not packed.made:
             print(f"{self.out}: nothing to do, all {packed.kept} scenes are there, as they were packed")

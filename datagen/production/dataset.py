@@ -8,10 +8,11 @@ import os
 import shutil
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import TimeoutError as FutureTimeout
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from pebble import ProcessExpired, ProcessFuture, ProcessPool
 
@@ -23,6 +24,7 @@ from multilight.datagen.files.locks import locked
 from multilight.datagen.production.finishing import finish, survey
 from multilight.datagen.production.library import check_background
 from multilight.datagen.production.worker import WorkerSetup, log_path, run_scene
+from multilight.datagen.report import Report
 from multilight.datagen.storage.records import GHOSTS, DatasetRecord
 from multilight.datagen.storage.store import COPIES, read_dataset, read_scene, scene_dir, scene_indices, write_text
 from multilight.datagen.verification.dataset import ANEW
@@ -54,7 +56,8 @@ class Outcome:
     """What a run did; `failures` maps a scene, `broken` an asset that was passed over, to one line of reason.
 
     `changed` are scenes that were damaged and came out otherwise than the index states; `seconds` maps each stage to
-    the time it took, over all workers.
+    the time it took, over all workers; `thrown_away` are the reasons of the draws that failed a check and were drawn
+    anew.
     """
 
     made: tuple[int, ...]
@@ -63,19 +66,17 @@ class Outcome:
     broken: dict[str, str]
     seconds: dict[str, float]
     changed: tuple[int, ...]
-
-
-Report = Callable[[float, float], None]
-"""Called now and then with the views finished and the views planned."""
+    thrown_away: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class _Watch:
-    """What is learned while the workers run: progress, broken assets, and where the time goes."""
+    """What is learned while the workers run: progress, broken assets, where the time goes, draws thrown away."""
 
     report: Report
     broken: dict[str, str]
     seconds: dict[str, float]
+    thrown_away: list[str]
 
 
 def make_dataset(plan: Plan, report: Report) -> Outcome:
@@ -93,6 +94,7 @@ def make_dataset(plan: Plan, report: Report) -> Outcome:
             shutil.rmtree(plan.root / name, ignore_errors=True)
         for leftover in plan.root.glob(".*.tmp*"):
             leftover.unlink()
+        report(0, 0, "looking at what is there")
         there = survey(plan.root, record, contents=plan.repair)
         wanted = sorted({*plan.indices, *there.damaged})
         missing = tuple(i for i in wanted if i not in there.rows)
@@ -104,12 +106,21 @@ def make_dataset(plan: Plan, report: Report) -> Outcome:
             print(f"scene {index} is damaged and made anew: {reason}", file=sys.stderr)
         if there.rows or there.damaged:
             _check_makers(record, plan)
-        watch = _Watch(report, _broken_models(plan.asset_folders), {})
+        watch = _Watch(report, _broken_models(plan.asset_folders), {}, [])
         failures = _run(plan, renderer, missing, watch)
         shutil.rmtree(plan.root / "work", ignore_errors=True)
         made = tuple(i for i in missing if i not in failures)
         changed = finish(plan.root, record, there, made)
-        return Outcome(made, kept, failures, watch.broken, dict(watch.seconds), changed)
+        return Outcome(made, kept, failures, watch.broken, watch.seconds, changed, tuple(watch.thrown_away))
+
+
+def settings_of(root: Path) -> dict[str, Any]:
+    """Return what the dataset in a folder was made with, to be continued so; nothing where there is none."""
+    if (root / "dataset.json").exists():
+        with contextlib.suppress(StoreError):  # damaged: told where it is continued
+            record = read_dataset(root)
+            return record.config.model_dump(exclude={"renderer"}) | {"renderer": record.renderer}
+    return {}
 
 
 def default_workers(scenes: int) -> int:
@@ -165,12 +176,11 @@ def _open_record(plan: Plan, renderer: RendererName) -> DatasetRecord:
             "it can be read, but not continued: use another --out"
         )
     old, new = record.config.model_dump(), plan.config.model_dump()
-    for key in sorted(set(old) - {"scenes", "renderer"}):
-        if old[key] != new[key]:
-            raise UserError(
-                f"{plan.root} was made with {key} = {old[key]!r}, not {new[key]!r}; "
-                "use the same value to continue it, or another --out"
-            )
+    if other := [key for key in old if old[key] != new[key] and key not in ("scenes", "renderer")]:
+        raise UserError(
+            f"{plan.root} was made with {', '.join(f'{key} = {old[key]!r}, not {new[key]!r}' for key in other)}; "
+            "leave that away to continue it as it is, or use another --out"
+        )
     if plan.config.scenes > record.config.scenes:
         grown = record.config.model_copy(update={"scenes": plan.config.scenes})
         record = record.model_copy(update={"config": grown}).sealed()
@@ -243,10 +253,11 @@ def _timeout(config: DatasetConfig) -> float:
 
 
 def _collect(plan: Plan, futures: dict[ProcessFuture, int], watch: _Watch) -> dict[int, str]:
-    """Wait for all scenes, reporting progress by the views that lie on disk."""
+    """Wait for all scenes, reporting the views on disk; those of a draw thrown away stay counted till made anew."""
     failures: dict[int, str] = {}
     waiting = dict(futures)
     total = len(futures) * plan.config.views
+    done = 0
     while waiting:
         time.sleep(0.2)
         for future in [f for f in waiting if f.done()]:
@@ -256,7 +267,9 @@ def _collect(plan: Plan, futures: dict[ProcessFuture, int], watch: _Watch) -> di
         finished = (len(futures) - len(waiting)) * plan.config.views
         # Not pathlib's glob, which fails where a folder goes away meanwhile.
         in_work = len(glob.glob("work/*/views/*.exr", root_dir=plan.root))
-        watch.report(min(finished + in_work, total), total)
+        done = max(done, min(finished + in_work, total))
+        note = "rendering" if done else "starting and drawing"
+        watch.report(done, total, note + (f" ({len(watch.thrown_away)} drawn anew)" if watch.thrown_away else ""))
     return failures
 
 
@@ -266,6 +279,7 @@ def _failure(plan: Plan, index: int, future: ProcessFuture, watch: _Watch) -> st
     try:
         report = future.result()
         watch.broken.update(report.broken)
+        watch.thrown_away.extend(report.thrown_away)
         for stage, seconds in report.seconds.items():
             watch.seconds[stage] = watch.seconds.get(stage, 0.0) + seconds
     except FutureTimeout:

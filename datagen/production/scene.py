@@ -64,10 +64,10 @@ class SceneMaker:
 
 @dataclass(frozen=True)
 class Made:
-    """A finished scene: its folder, and the seconds that rendering, denoising and the rest took."""
+    """A finished scene: the seconds that rendering, denoising and the rest took, and why draws were thrown away."""
 
-    folder: Path
     seconds: dict[str, float]
+    thrown_away: tuple[str, ...]
 
 
 def sample_scene(config: DatasetConfig, library: AssetLibrary, streams: Streams) -> tuple[SceneSpec, LightRig]:
@@ -113,11 +113,11 @@ def make_scene(maker: SceneMaker, index: int) -> Made:
     """
     work = maker.root / "work" / f"{index:06d}-{os.getpid()}"
     watch = Stopwatch()
-    faults: list[Fault] = []
+    thrown_away: tuple[str, ...] = ()
     for attempt in range(ATTEMPTS):
         try:
             with full_disk_told(maker.root):
-                faults = _write_scene(maker, Streams(maker.config.seed, index, attempt), work, watch)
+                faults = _write_scene(maker, Streams(maker.config.seed, index, attempt), work, watch, thrown_away)
         except AssetError as error:
             faults = [Fault(index, None, "assets", str(error))]
         else:
@@ -129,22 +129,25 @@ def make_scene(maker: SceneMaker, index: int) -> Made:
                 shutil.rmtree(final, ignore_errors=True)  # what lies there is not whole, or damaged
                 work.rename(final)
                 sync(final.parent)
-                return Made(final, watch.seconds())
+                return Made(watch.seconds(), thrown_away)
         finally:
             shutil.rmtree(work, ignore_errors=True)
+        thrown_away += (_told(faults[0]),)
         print(f"scene {index}, attempt {attempt}: " + "; ".join(_told(fault) for fault in faults))
     raise SceneFailedError(
-        f"scene {index} (seed {maker.config.seed}) failed its checks {ATTEMPTS} times; the last: {_told(faults[0])}"
+        f"scene {index} (seed {maker.config.seed}) failed its checks {ATTEMPTS} times: {'; '.join(thrown_away)}"
     )
 
 
 def _told(fault: Fault) -> str:
-    return ("" if fault.view is None else f"view {fault.view}: ") + f"{fault.check}: {fault.message}"
+    return f"{fault.check}: {'' if fault.view is None else f'view {fault.view}: '}{fault.message}"
 
 
-def _write_scene(maker: SceneMaker, streams: Streams, work: Path, watch: Stopwatch) -> list[Fault]:
+def _write_scene(
+    maker: SceneMaker, streams: Streams, work: Path, watch: Stopwatch, thrown_away: tuple[str, ...]
+) -> list[Fault]:
     """Draw and render a scene into a folder, view by view; return the faults of the first view that has any."""
-    record = _draw(maker, streams)
+    record = _draw(maker, streams).model_copy(update={"thrown_away": thrown_away})
     # What is imported is taken as it is.
     faults = [] if maker.config.kind == "imported" else contact_faults(record.scene, maker.library)
     if faults:

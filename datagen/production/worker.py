@@ -55,10 +55,14 @@ def _maker(setup: WorkerSetup) -> SceneMaker:
 
 @dataclass(frozen=True)
 class WorkerReport:
-    """What a worker tells of a scene: seconds a stage, and the broken assets it has met so far (id → reason)."""
+    """What a worker tells of a scene.
+
+    Seconds a stage, the broken assets it has met so far (id → reason), and why draws of the scene were thrown away.
+    """
 
     seconds: dict[str, float]
     broken: dict[str, str]
+    thrown_away: tuple[str, ...]
 
 
 def run_scene(setup: WorkerSetup, index: int) -> WorkerReport:
@@ -76,7 +80,7 @@ def run_scene(setup: WorkerSetup, index: int) -> WorkerReport:
             raise
     tell_thrown_away()
     path.unlink(missing_ok=True)
-    return WorkerReport(made.seconds, maker.library.broken)
+    return WorkerReport(made.seconds, maker.library.broken, made.thrown_away)
 
 
 def _die_with(parent: int) -> None:

@@ -124,7 +124,8 @@ class ViewRecord(Frozen):
 class SceneRecord(Schema):
     """Everything about one scene: `scenes/000123/scene.json`.
 
-    `attempt` counts the draws that were thrown away because a check failed; `denoised` layers are cleaned one by one;
+    `attempt` counts the draws that were thrown away because a check failed, and `thrown_away` says for each which
+    check and why (empty in datasets of version 0.2.0 and before); `denoised` layers are cleaned one by one;
     `conditions` carry metered exposures; `split` says which assets and places the scene could draw from.
     `preview_sha256` is empty before schema 3.
     """
@@ -132,6 +133,7 @@ class SceneRecord(Schema):
     seed: int
     index: Annotated[int, Field(ge=0)]
     attempt: Annotated[int, Field(ge=0)]
+    thrown_away: tuple[str, ...] = ()
     split: Split = "train"
     renderer: RendererName
     denoised: bool

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import polars as pl
 
 from multilight.datagen.errors import StoreError
+from multilight.datagen.report import Report, silent
 from multilight.datagen.storage.index import index_row, parse_index
 from multilight.datagen.storage.place import Place, find_place
 from multilight.datagen.storage.records import GHOSTS, AssetCredit, DatasetRecord, SceneRecord
@@ -28,10 +29,10 @@ Result = tuple[int | None, list[Fault]]
 
 @dataclass(frozen=True)
 class Verification:
-    """What is verified: who wrote it (schema and version), and the results one after the other, as they are found."""
+    """What is verified: who wrote it (schema and version), and the results."""
 
     written_by: str
-    results: Iterator[Result]
+    results: list[Result]
 
 
 @dataclass(frozen=True)
@@ -63,8 +64,8 @@ class _Index:
             yield f"index.parquet states another {', '.join(wrong)} than scene.json"
 
 
-def verify_dataset(address: str, *, quick: bool = False) -> Verification:
-    """Check a dataset at any address; `quick` leaves out what the pictures hold.
+def verify_dataset(address: str, *, quick: bool = False, report: Report = silent) -> Verification:
+    """Check a dataset at any address; `quick` leaves out what the pictures hold; `report` is told of scenes.
 
     Raises `StoreError` where there is no dataset.
     """
@@ -79,10 +80,12 @@ def verify_dataset(address: str, *, quick: bool = False) -> Verification:
         faults.append(_of_all(str(error)))
     version = "" if record is None else f"schema {record.schema_version}, "
     version += "" if record is None else f"multilight {record.versions.get('multilight', 'of unknown version')}"
-    return Verification(version or "unknown", _results(place, record, faults, quick=quick))
+    return Verification(version or "unknown", list(_results(place, record, faults, report, quick=quick)))
 
 
-def _results(place: Place, record: DatasetRecord | None, faults: list[Fault], *, quick: bool) -> Iterator[Result]:
+def _results(
+    place: Place, record: DatasetRecord | None, faults: list[Fault], report: Report, *, quick: bool
+) -> Iterator[Result]:
     if record is not None and record.schema_version <= GHOSTS:
         faults.append(_of_all(ANEW))
     index = _read_index(place, record, faults)
@@ -90,7 +93,8 @@ def _results(place: Place, record: DatasetRecord | None, faults: list[Fault], *,
     yield None, faults
     credits: dict[str, AssetCredit] = {}
     unread = False
-    for number in scenes:
+    for done, number in enumerate(scenes):
+        report(done, len(scenes))
         try:
             files = check_files(place, number, record)
             found = files.faults

@@ -68,7 +68,7 @@ class Evaluate:
                 name = f"{stem} + 3D, {steps} refined" if steps else f"{stem} + 3D"
                 methods[name] = scene_method(weights[-1], self.weights_3d, self.device, refine_iterations=steps)
         lpips = Lpips.load(self.lpips) if self.lpips else None
-        with progress("objects") as report:
+        with progress("objects", "comparing") as report:
             found = evaluate(groups, methods, lpips=lpips, report=report)
         about = self._about(weights, len(found.frames))
         write_evaluation(found, about, self.out)

@@ -125,18 +125,6 @@ def test_a_worker_that_dies_costs_its_scene_only(tmp_path: Path) -> None:
     assert not (root / "logs").exists()
 
 
-def test_interrupt_stops_and_says_how_to_go_on(tmp_path: Path) -> None:
-    root = tmp_path / "d"
-    command = [sys.executable, "-m", "multilight", "dataset", "--out", str(root), *SPHERES, "--scenes", "50"]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    wait_for(lambda: scene_indices(root))
-    process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=180)
-    assert process.returncode == 130
-    assert "goes on where it was" in errors
-    assert "Traceback" not in errors
-
-
 def test_two_runs_do_not_share_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     root = tmp_path / "d"
     process = start(root, "--scenes", "50")
@@ -172,9 +160,12 @@ def test_a_draw_is_thrown_away_at_its_first_bad_view(tmp_path: Path) -> None:
         made = make_scene(SceneMaker(config, "analytic", tmp_path, AssetLibrary(), backend, 1), 0)
     first = [job.view for job in backend.jobs if job.scene == backend.jobs[0].scene]
     assert set(first) == {0, 1}
-    record = read_scene(made.folder)
-    assert record.attempt >= 1
-    assert verify_views(record, lambda name: nullcontext(made.folder / name)) == []
+    folder = scene_dir(tmp_path, 0)
+    record = read_scene(folder)
+    assert record.attempt == len(record.thrown_away) >= 1
+    assert made.thrown_away == record.thrown_away
+    assert record.thrown_away[0].startswith("additivity: view 1: ")
+    assert verify_views(record, lambda name: nullcontext(folder / name)) == []
     assert set(made.seconds) == {"render", "rest"}
     assert not list((tmp_path / "work").iterdir())
 
@@ -189,9 +180,17 @@ def test_denoising_is_automatic_on_or_off(denoise: str, spp: int, expected: bool
         assert not SceneMaker(config, "analytic", Path(), AssetLibrary(), backend, 1).denoises
 
 
-def test_share_of_the_time_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_last_line_says_how_it_went(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("scene", "--out", tmp_path / "d", *SPHERES) == 0
-    assert re.search(r"render \d+%, rest \d+% of the time", capsys.readouterr().out)
+    (said,) = capsys.readouterr().out.splitlines()
+    said = said.removeprefix(f"{tmp_path / 'd'}: scene ok: 1 made, 0 kept; 3 views, ")
+    assert re.fullmatch(r"\d+ kB; \d+ s \(render \d+%, rest \d+%\)", said)
+
+
+def test_all_that_differs_is_named(spheres_copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("dataset", "--out", spheres_copy, "--width", "32", "--seed", "5", "--views", "3") == 1
+    said = capsys.readouterr().err
+    assert "was made with seed = 0, not 5, width = 64, not 32; leave that away" in said
 
 
 @pytest.mark.parametrize(

@@ -66,16 +66,14 @@ def test_refused_memory_is_one_line_and_leaves_nothing(tmp_path: Path) -> None:
     assert not (tmp_path / "d").exists()
 
 
-@pytest.fixture
-def heard() -> Iterator[None]:
-    """Hanging up ends what is started, whatever started the tests (`nohup`, say, has it ignored)."""
-    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
-    yield
-    signal.signal(signal.SIGHUP, before)
+@pytest.fixture(params=[signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+def number(request: pytest.FixtureRequest) -> Iterator[signal.Signals]:
+    """A signal that ends what is started, whatever started the tests (`nohup` and `&` have some ignored)."""
+    before = signal.signal(request.param, signal.SIG_DFL)
+    yield request.param
+    signal.signal(request.param, before)
 
 
-@pytest.mark.usefixtures("heard")
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_signals_stop_workers_and_say_so(number: signal.Signals, tmp_path: Path) -> None:
     semaphores = {path.name for path in Path("/dev/shm").glob("sem.mp-*")}
     process = subprocess.Popen(make(tmp_path / "d", 40).split(), cwd=ROOT, stderr=subprocess.PIPE, text=True)

@@ -466,8 +466,8 @@ def test_texture_ids_cannot_leave_the_pack(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_every_builtin_asset_passes_the_check(library: AssetLibrary) -> None:
-    assert check_assets(library, "builtin") == []
+def test_every_builtin_asset_passes_the_check() -> None:
+    assert check_assets(AssetLibrary(packs=("builtin",)), "builtin") == []
 
 
 def test_rubbish_texture_coordinates_are_dropped(tmp_path: Path) -> None:

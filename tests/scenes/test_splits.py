@@ -25,7 +25,7 @@ from multilight.scenes.assets.splits import (
 from multilight.scenes.still_life.selection import INSERTABLE, LARGEST, SMALL, SMALLEST, TALL, THIN
 from multilight.scenes.streams import Streams
 
-SCENES = 60
+SCENES = 32
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,64 @@
+"""What long commands say: where they are while they run, and how it went."""
+
+import time
+from pathlib import Path
+
+import pytest
+
+from multilight.datagen.commands import output
+from multilight.datagen.commands.make import summary
+from multilight.datagen.config.dataset import DatasetConfig
+from multilight.datagen.production.dataset import Outcome, Plan
+from multilight.datagen.text import duration, size
+
+
+def test_lines_say_what_goes_on_how_far_it_is_and_how_long_it_takes(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(output, "FIRST_LINE", 0.05)
+    monkeypatch.setattr(output, "LINES", 0.2)
+    with output.progress("views", "starting") as report:
+        time.sleep(0.1)
+        report(0, 12, "rendering")
+        report(3, 12)
+        time.sleep(0.25)
+    first, second = capsys.readouterr().err.splitlines()
+    assert first == "starting, 0 s elapsed, unknown left"
+    assert second.startswith("rendering, 3/12 views, ")
+    assert second.endswith(" s left")
+
+
+def test_what_is_over_at_once_says_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    with output.progress("views", "starting") as report:
+        report(12, 12, "rendering")
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("seconds", "said"), [(0.4, "0 s"), (59.6, "1 min 00 s"), (185, "3 min 05 s"), (7800, "2 h 10 min")]
+)
+def test_times_in_words(seconds: float, said: str) -> None:
+    assert duration(seconds) == said
+
+
+@pytest.mark.parametrize(
+    ("count", "said"), [(0, "0 B"), (999, "999 B"), (512_300, "512 kB"), (999_600, "1 MB"), (1_340_000_000, "1.34 GB")]
+)
+def test_sizes_in_words(count: int, said: str) -> None:
+    assert size(count) == said
+
+
+def test_the_last_line_counts_scenes_bytes_and_draws_thrown_away(tmp_path: Path) -> None:
+    for index in range(2):
+        views = tmp_path / "scenes" / f"{index:06d}" / "views"
+        views.mkdir(parents=True)
+        for number in range(3):
+            (views / f"{number:02d}.exr").write_bytes(bytes(1000))
+    plan = Plan(tmp_path, DatasetConfig(), (0, 1, 2, 3), 2)
+    reasons = ("contacts: nothing carries glasses", "noise: view 1: too much", "contacts: nothing carries cup")
+    outcome = Outcome((0, 1), 1, {3: "no"}, {}, {"render": 3.0, "rest": 1.0}, (), reasons)
+    assert summary(plan, outcome, 65.0) == (
+        "3 of 4 scenes ok: 2 made, 1 kept, 1 failed; 6 views, 6 kB; 1 min 05 s (render 75%, rest 25%); "
+        "3 drawn anew (contacts 2, noise 1)"
+    )
+    assert summary(plan, Outcome((), 4, {}, {}, {}, ()), 1.0) == "nothing to do, all 4 scenes are there"
