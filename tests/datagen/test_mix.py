@@ -241,7 +241,7 @@ def test_stored_maps_as_pictures(
         ("--what depth --condition all", r"--condition all goes with --what target, background.*this makes the depth"),
         ("--what ids --save-condition c.json", "--save-condition c.json goes with --what target"),
         ("--save-insert-condition c.json", "--save-insert-condition c.json goes with --what composite; this "),
-        ("--object sphere_0", "--object sphere_0 goes with --what background, composite, effect; this makes the target"),
+        ("--object sphere_0", "--object sphere_0 goes with --what background, composite, effect; this "),
         ("--save-condition c.png", "c.png: the suffix of a condition's file must be .json"),
         ("--what composite --save-condition c.json --save-insert-condition c.json", "are both c.json; name two files"),
         ("--lights", "--lights only lists"),
