@@ -86,10 +86,10 @@ def write_mix(request: MixRequest) -> None:
         else:
             Image.fromarray(picture.shown).save(work)
     print(plain(f"{out}: scene {record.index}, view {request.view}: {told}"))
-    for condition, path in saved:
-        if path is not None:
-            save_condition(condition, path)
-            print(plain(f"{path}: {in_words(condition, view.lights)}"))
+    for condition, file in saved:
+        if file is not None:
+            save_condition(condition, file)
+            print(plain(f"{file}: {in_words(condition, view.lights)}"))
 
 
 def _checked_files(request: MixRequest, what: str) -> list[Path]:

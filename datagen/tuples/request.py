@@ -22,16 +22,16 @@ class MixRequest:
     view: int = 0
     """Number of the view."""
     condition: str | None = None
-    """Lighting (default: all): a stored condition's name, random:SEED, or a JSON file such as
-    {"name": "warm", "gains": {"key": [1.2, 0.9, 0.5], "fill": 1}, "exposure_ev": 0.5}, where a gain is one number or
-    three, of red, green and blue, and lights that are not named are off."""
+    """Lighting (default: all): a stored condition's name, random:SEED, or a JSON file, for example
+    {"name": "warm", "gains": {"key": [1.2, 0.9, 0.5], "fill": 1}, "exposure_ev": 0.5}
+    A gain is one number, or three: red, green, blue. Lights that are not named are off."""
     insert_condition: str | None = None
     """Lighting of the inserted object in a composite; as --condition."""
     object: str | None = None
     """Insertable object (default: the first)."""
     what: What | None = None
-    """What to make (default: composite with --insert-condition, else target). Depth is along the optical axis, near
-    bright; normals are in world axes, +Z up; ids are the bodies."""
+    """What to make (default: composite with --insert-condition, else target).
+    Depth is along the optical axis, near bright; normals are in world axes, +Z up; ids are the bodies."""
     save_condition: Path | None = None
     """Also write the lighting, as a JSON file that --condition takes."""
     save_insert_condition: Path | None = None

@@ -61,7 +61,7 @@ UNREAD: dict[str, tuple[str, str]] = {
 
 def fits(value: Any, schema: dict[str, Any]) -> bool:
     """Validate a value by the keywords of JSON schema that a condition's schema uses."""
-    kinds = {"object": dict, "array": list, "string": str, "number": (int, float)}
+    kinds: dict[str, Any] = {"object": dict, "array": list, "string": str, "number": (int, float)}
     match schema:
         case {"anyOf": choices}:
             return any(fits(value, each) for each in choices)
