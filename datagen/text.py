@@ -27,6 +27,6 @@ def markdown(text: str) -> str:
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """Return `; did you mean 'key'?` for the known word that is most like a wrong one, or nothing."""
+    """Ask for the known word that looks most like a wrong one; empty where none does."""
     close = difflib.get_close_matches(word, list(known), n=1)
-    return f"; did you mean {close[0]!r}?" if close else ""
+    return f"did you mean {close[0]!r}? " if close else ""

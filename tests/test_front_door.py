@@ -217,12 +217,12 @@ BAD: dict[str, tuple[Callable[[multilight.Dataset, Path], object], str]] = {
     "query": (lambda data, _: data.query("weight > 3"), "where 'weight > 3': .*the columns are index, seed"),
     "view": (lambda data, _: data[0].mix(3), "view 3 must be a whole number from 0 to 2"),
     "half a view": (lambda data, _: data[0].mix(0.5), "view 0.5 must be"),  # type: ignore[arg-type]
-    "condition": (lambda data, _: data[0].mix(0, "noon"), r"condition 'noon' is not one of \['all'"),
+    "condition": (lambda data, _: data[0].mix(0, "noon"), r"condition 'noon': it is not one of \['all'"),
     "seed": (lambda data, _: data[0].mix(0, -1), "whole number of at most 10 digits"),
     "truth": (lambda data, _: data[0].mix(0, True), "condition True is no lighting; give one of"),
     "light": (
         lambda data, _: data[0].mix(0, {"moon": 1.0}),
-        r"gains\.moon: there is no such light, the scene has key \(",
+        r"gains\.moon: there is no such light; the scene has key \(",
     ),
     "gain": (lambda data, _: data[0].mix(0, {"key": -1.0}), r"gains\.key\.0 = -1\.0; allowed: .*from 0 to 1e9"),
     "exposure": (lambda data, _: data[0].mix(exposure_ev=100), "exposure_ev = 100; allowed: .*from -64 to 64"),

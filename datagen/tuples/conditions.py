@@ -39,9 +39,10 @@ def find_condition(text: str, record: SceneRecord, view: ViewData) -> LightingCo
     try:
         content = read_text(Path(text), MOST)
     except OSError as error:
+        near = did_you_mean(text, names)
         raise UserError(
-            f"condition {shown(text)} is not one of {names}, nor random:SEED, nor a file that can be read "
-            f"({error.strerror}){did_you_mean(text, names)}"
+            f"condition {shown(text)}: {near}it is not one of {names}, nor random:SEED, nor a file that can be read "
+            f"({error.strerror})"
         ) from None
     except ValueError as error:
         raise UserError(f"{text} is not a lighting condition: {error}") from None
@@ -69,8 +70,8 @@ def check_lights(names: Iterable[str], source: str, rig: LightRig) -> None:
     if unknown := [name for name in names if name not in rig.names]:
         there = "; ".join(f"{light.name} ({describe(light)})" for light in rig.lights)
         raise UserError(
-            f"{source}: gains.{shown(unknown[0])[1:-1]}: there is no such light, the scene has {there}"
-            f"{did_you_mean(unknown[0], rig.names)}"
+            f"{source}: gains.{shown(unknown[0])[1:-1]}: there is no such light; "
+            f"{did_you_mean(unknown[0], rig.names)}the scene has {there}"
         )
 
 
@@ -100,7 +101,7 @@ def _fault(error: ValidationError) -> str:
     """Say what is wrong first: the key, its value and what is allowed."""
     faults, known = error.errors(), LightingCondition.model_fields
     if unknown := [str(fault["loc"][0]) for fault in faults if fault["type"] == "extra_forbidden"]:
-        return f"unknown key {shown(unknown[0])}{did_you_mean(unknown[0], known)}; known keys: {', '.join(known)}"
+        return f"unknown key {shown(unknown[0])}; {did_you_mean(unknown[0], known)}known keys: {', '.join(known)}"
     first = faults[0]
     place = first["loc"]
     if first["type"] == "json_invalid":

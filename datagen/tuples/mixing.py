@@ -67,7 +67,7 @@ def write_mix(request: MixRequest) -> None:
     names = record.scene.insertable
     name = request.object or names[0]
     if name not in names:
-        raise UserError(f"--object {name} is not insertable; choose one of {list(names)}{did_you_mean(name, names)}")
+        raise UserError(f"--object {name} is not insertable; {did_you_mean(name, names)}choose one of {list(names)}")
     view = source.view(record, request.view)
     saved: list[tuple[LightingCondition, Path | None]] = []
     if what in LIT:

@@ -49,7 +49,7 @@ class SampleSettings:
             value = getattr(self, name)
             if value not in known:
                 close = did_you_mean(str(value), filter(None, known))
-                raise UserError(f"{name} {value!r} must be one of {', '.join(map(repr, known))}{close}")
+                raise UserError(f"{name} {value!r}: {close}it must be one of {', '.join(map(repr, known))}")
 
     def check_size(self, side: int) -> None:
         """Say where pictures whose shorter side has `side` pixels are enlarged; raises `UserError` where beyond use."""

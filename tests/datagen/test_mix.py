@@ -32,7 +32,7 @@ def channels(path: Path) -> dict[str, np.ndarray]:
 
 GAIN = r"a number from 0 to 1e9, or three: of red, green and blue"
 WRONG: dict[str, tuple[str, str]] = {
-    "unknown key": ('{"name": "w", "gain": {}}', r"unknown key 'gain'; did you mean 'gains'\?; known keys: name, "),
+    "unknown key": ('{"name": "w", "gain": {}}', r"unknown key 'gain'; did you mean 'gains'\? known keys: name, "),
     "word": ('{"name": "w", "gains": {"key": "bright"}}', rf"gains\.key = 'bright'; allowed: .*{GAIN}"),
     "text of a number": ('{"name": "w", "gains": {"key": "1"}}', rf"gains\.key = '1'; allowed: .*{GAIN}"),
     "truth": ('{"name": "w", "gains": {"key": [1, true, 1]}}', rf"gains\.key\.1 = True; allowed: .*{GAIN}"),
@@ -51,7 +51,7 @@ UNREAD: dict[str, tuple[str, str]] = {
     "NaN": ('{"name": "w", "gains": {"key": [1, NaN, 1]}}', rf"gains\.key\.1 = nan; allowed: .*{GAIN}"),
     "light": (
         '{"name": "w", "gains": {"kee": 1}}',
-        r"gains\.kee: there is no such light, the scene has key \(spot at \(.*\) m, \d+ K\); .*did you mean 'key'\?$",
+        r"gains\.kee: there is no such light; did you mean 'key'\? the scene has key \(spot at \(.*\) m, \d+ K\); ",
     ),
     "no JSON": ("key = 1", r'it is no JSON \(expected value at line 1 column 1\), such as \{"name"'),
     "empty": ("", r"it is no JSON \(EOF"),
@@ -122,9 +122,9 @@ def test_wrong_files_are_told_in_one_line(
 def test_names_and_folders_that_are_none(
     spheres_dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for word, expected in (("key_onyl", r"did you mean 'key_only'\?"), (tmp_path, r"\(Is a directory\)")):
+    for word, expected in (("key_onyl", r"did you mean 'key_only'\? it is not"), (tmp_path, r"\(Is a directory\)$")):
         assert mix(spheres_dataset, "--condition", word, "--out", tmp_path / "m.png") == 1
-        assert re.search(f"is not one of .*nor random:SEED, nor a file.*{expected}", capsys.readouterr().err)
+        assert re.search(expected, capsys.readouterr().err)
 
 
 def test_saved_conditions_make_the_same_picture(
