@@ -1,6 +1,8 @@
 """Text that comes from data, made safe for where it is shown: terminal, Markdown."""
 
+import difflib
 import re
+from collections.abc import Iterable
 
 from rich.markup import escape
 
@@ -40,3 +42,9 @@ def size(count: int) -> str:
     while value >= 999.5 and len(units) > 1:
         value, units = value / 1000, units[1:]
     return f"{value:.3g} {units[0]}"
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """Ask for the known word that looks most like a wrong one; empty where none does."""
+    close = difflib.get_close_matches(word, list(known), n=1)
+    return f"did you mean {close[0]!r}? " if close else ""

@@ -6,9 +6,10 @@ never seen by the camera directly; reflections show those that have a size.
 
 import math
 from collections.abc import Iterable
+from numbers import Real
 from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import Field, PositiveFloat, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, PositiveFloat, model_validator
 
 from multilight.scenes.colour import luminance
 from multilight.scenes.frozen import Frozen, Matrix4, Rgb, Slug, Vector3
@@ -185,12 +186,35 @@ Gain = Annotated[float, Field(ge=0, le=1e9)]
 """What a light is multiplied by; with the largest exposure and radiance still a float32."""
 
 
+def _of_each_channel(gain: object) -> object:
+    """Give all channels the gain where it is one number; a list counts as a tuple."""
+    if isinstance(gain, Real) and not isinstance(gain, bool):
+        return (gain, gain, gain)
+    return tuple(gain) if isinstance(gain, list) else gain
+
+
+Gains = Annotated[
+    tuple[Gain, Gain, Gain],
+    BeforeValidator(_of_each_channel, json_schema_input_type=Gain | tuple[Gain, Gain, Gain]),
+]
+
+
 class LightingCondition(Frozen):
-    """A linear RGB gain for each light by name (absent: off), and an exposure in EV (`gain = 2**ev`)."""
+    """A lighting of a scene: what each of its lights is multiplied by, and an exposure."""
+
+    model_config = ConfigDict(
+        use_attribute_docstrings=True,
+        json_schema_extra={
+            "examples": [{"name": "warm", "gains": {"key": [1.2, 0.9, 0.5], "fill": 1}, "exposure_ev": 0.5}]
+        },
+    )
 
     name: Slug
-    gains: dict[str, tuple[Gain, Gain, Gain]]
+    """Lower-case letters, digits and _, a letter first, at most 40."""
+    gains: dict[str, Gains]
+    """For each light that is on a number from 0 to 1e9, or three: of red, green and blue; all others are off."""
     exposure_ev: Annotated[float, Field(ge=-64, le=64)] = 0.0
+    """A number of stops from -64 to 64: the picture is multiplied by 2 to the power of it."""
 
     @classmethod
     def unchanged(cls, lights: Iterable[str], name: str = "all") -> Self:

@@ -5,8 +5,9 @@ from numbers import Integral
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import polars as pl
-from pydantic import ValidationError
+from numpy.typing import NDArray
 
 from multilight.datagen.errors import UserError
 from multilight.datagen.storage.manifest import CopyFault
@@ -14,8 +15,7 @@ from multilight.datagen.storage.records import DatasetRecord, SceneRecord
 from multilight.datagen.storage.source import DatasetSource, OnBroken, open_dataset, select
 from multilight.datagen.storage.store import ViewData
 from multilight.datagen.tuples import compose
-from multilight.datagen.tuples.exposure import meter_condition, thumbnail
-from multilight.datagen.tuples.mixing import find_condition
+from multilight.datagen.tuples.conditions import check_condition, check_lights, find_condition, metered
 from multilight.datagen.verification.copies import copy_at, verify_copy
 from multilight.datagen.verification.dataset import verify_dataset
 from multilight.datagen.verification.views import Fault
@@ -103,10 +103,10 @@ class Scene:
         Random ones and plain gains are exposed as a camera would on this view, unless `exposure_ev` says how: at 0,
         pictures are radiance, and those of single lights add up. Raises `UserError` naming what is allowed.
         """
-        condition = self._found(lighting, view, metered=exposure_ev is None)
+        condition = self._found(lighting, view, expose=exposure_ev is None)
         if exposure_ev is None:
             return condition
-        return _checked(condition.name, dict(condition.gains), exposure_ev)
+        return check_condition(condition.model_dump() | {"exposure_ev": exposure_ev}, "condition", self.record.rig)
 
     def mix(
         self,
@@ -147,25 +147,36 @@ class Scene:
             mask=data.coverage[name],
         )
 
-    def _found(self, lighting: Lighting, view: int, *, metered: bool) -> LightingCondition:
-        data = self.view(view)
+    def depth(self, view: int = 0) -> Float32:
+        """Return a view's depth along the optical axis [m], (H, W) float32; 0 where there is nothing."""
+        return self.view(view).geometry.z_depth
+
+    def normal(self, view: int = 0) -> Float32:
+        """Return a view's unit normals in world axes (+Z up), (H, W, 3) float32; 0 where there is nothing."""
+        return self.view(view).geometry.normal_world
+
+    def albedo(self, view: int = 0) -> Float32:
+        """Return a view's base colours, (H, W, 3) float32 linear."""
+        return self.view(view).geometry.albedo
+
+    def ids(self, view: int = 0) -> NDArray[np.uint16]:
+        """Return which body each pixel shows, (H, W): its place in `record.scene.bodies` plus one, 0 for nothing."""
+        return self.view(view).geometry.instance_id
+
+    def _found(self, lighting: Lighting, view: int, *, expose: bool) -> LightingCondition:
+        data, rig = self.view(view), self.record.rig
         match lighting:
             case str():
                 return find_condition(lighting, self.record, data)
             case _ if _whole(lighting):
                 return find_condition(f"random:{lighting}", self.record, data)
             case LightingCondition():
-                condition = lighting
+                check_lights(lighting.gains, "condition", rig)
+                return lighting
             case Mapping():
-                gains = {name: (g, g, g) if isinstance(g, int | float) else g for name, g in lighting.items()}
-                condition = _checked("given", gains)
-            case _:
-                raise UserError(f"condition {lighting!r} is no lighting; {self._allowed()}")
-        if unknown := sorted(set(condition.gains) - set(self.lights)):
-            raise UserError(f"condition names the lights {unknown}; scene {self.index} has {list(self.lights)}")
-        if condition is lighting or not metered:
-            return condition
-        return meter_condition(condition, data.lights, [thumbnail(data.variants["all"])])
+                condition = check_condition({"name": "given", "gains": dict(lighting)}, "condition", rig)
+                return metered(condition, data) if expose else condition
+        raise UserError(f"condition {lighting!r} is no lighting; {self._allowed()}")
 
     def _allowed(self) -> str:
         return (
@@ -260,12 +271,3 @@ def verify(address: str | Path, *, quick: bool = False) -> list[Fault | CopyFaul
 def _whole(value: object) -> bool:
     """Tell whether a value is a whole number; numpy's are, True and False are not."""
     return isinstance(value, Integral) and not isinstance(value, bool)
-
-
-def _checked(name: str, gains: Mapping[str, object], exposure_ev: float = 0.0) -> LightingCondition:
-    try:
-        return LightingCondition.model_validate({"name": name, "gains": dict(gains), "exposure_ev": exposure_ev})
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise UserError(f"condition: {where} = {first['input']!r}: {first['msg']}") from None

@@ -117,7 +117,7 @@ def write_view(path: Path, view: ViewData) -> None:
     OpenEXR.File(parts).write(str(path))
 
 
-def write_exr(path: Path, channels: Mapping[str, NDArray[np.floating]]) -> None:
+def write_exr(path: Path, channels: Mapping[str, NDArray[np.generic]]) -> None:
     """Write one picture as an OpenEXR file of one part: channels (H, W), or `RGB` (H, W, 3)."""
     planes = {name: np.ascontiguousarray(plane) for name, plane in channels.items()}
     OpenEXR.File(dict(HEADER), planes).write(str(path))

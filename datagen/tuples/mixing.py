@@ -1,96 +1,163 @@
 """One stored view under any lighting, as a picture: the command `mix`."""
 
-import re
-from collections.abc import Sequence
+import json
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
-from pydantic import ValidationError
 
 from multilight.datagen.errors import UserError
 from multilight.datagen.files.outputs import check_file, written
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.source import open_dataset
 from multilight.datagen.storage.store import ViewData, write_exr
-from multilight.datagen.storage.variants import ALL
-from multilight.datagen.tuples import compose
-from multilight.datagen.tuples.exposure import meter_condition, thumbnail
+from multilight.datagen.text import did_you_mean, plain
+from multilight.datagen.tuples import compose, pictures
+from multilight.datagen.tuples.conditions import find_condition, in_words, save_condition
 from multilight.datagen.tuples.request import MixRequest
-from multilight.datagen.tuples.sheet import effect_picture
-from multilight.lights.conditions import random_condition
+from multilight.lights.describe import describe
 from multilight.lights.display.tonemap import to_display
 from multilight.lights.spec import LightingCondition
-from multilight.scenes.arrays import Float32
-from multilight.scenes.files.limits import read_text, shown
-from multilight.scenes.streams import Streams
+from multilight.scenes.arrays import UInt8
+
+LIT = ("target", "background", "composite", "effect")
+GOES_WITH = {
+    "condition": LIT,
+    "save_condition": LIT,
+    "object": LIT[1:],
+    "insert_condition": ("composite",),
+    "save_insert_condition": ("composite",),
+}
+"""Options that only some pictures take."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture: its channels (H, W), or `RGB` (H, W, 3), as they are; for the eye (H, W, 3); what it is, in words."""
+
+    channels: Mapping[str, NDArray[np.generic]]
+    shown: UInt8
+    told: str
 
 
 def write_mix(request: MixRequest) -> None:
-    """Make the picture and write it; raises `UserError` naming the value and those allowed."""
-    out, what = request.out, request.what or ("composite" if request.insert_condition else "target")
-    if out.suffix not in (".png", ".exr"):
-        raise UserError(f"--out {out}: the suffix must be .png or .exr")
+    """Make the picture, write it and say so; raises `UserError` naming the value and those allowed."""
+    if request.condition_schema:
+        print(json.dumps(LightingCondition.model_json_schema(), indent=1))
+        return
+    if request.address is None:
+        raise UserError("name the dataset: multilight mix DIR --out FILE, or multilight mix DIR --lights")
+    what = request.what or ("composite" if request.insert_condition else "target")
+    files = _checked_files(request, what)
     source = open_dataset(request.address)
-    check_file(out)
     if request.scene not in source.indices:
         raise UserError(f"--scene {request.scene} is not in {request.address}; it has {_short(source.indices)}")
     record = source.scene(request.scene)
+    if request.lights:
+        _print_lights(record)
+        return
+    for path in files:
+        check_file(path)
     if not 0 <= request.view < len(record.views):
         raise UserError(f"--view {request.view} must be 0 to {len(record.views) - 1}")
-    name = request.object or record.scene.insertable[0]
-    if name not in record.scene.insertable:
-        raise UserError(f"--object {name} is not insertable; choose one of {list(record.scene.insertable)}")
+    names = record.scene.insertable
+    name = request.object or names[0]
+    if name not in names:
+        raise UserError(f"--object {name} is not insertable; {did_you_mean(name, names)}choose one of {list(names)}")
     view = source.view(record, request.view)
-    base = find_condition(request.condition, record, view)
-    insert = find_condition(request.insert_condition or request.condition, record, view)
-    picture = _picture(what, view, name, insert, base)
+    saved: list[tuple[LightingCondition, Path | None]] = []
+    if what in LIT:
+        base = find_condition(request.condition or "all", record, view)
+        insert = find_condition(request.insert_condition, record, view) if request.insert_condition else base
+        saved = [(base, request.save_condition), (insert, request.save_insert_condition)]
+        picture = _lit(what, view, name, insert, base)
+    else:
+        picture = _stored(what, view)
+    out = files[0]
+    told = picture.told
     with written(out) as work:
-        if out.suffix == ".exr":
-            write_exr(work, {"RGB": picture})
+        if out.suffix.lower() == ".exr":
+            write_exr(work, picture.channels)
+            told = f"{told}; as numbers, channels {', '.join(picture.channels)}"
         else:
-            shown = effect_picture(picture) if what == "effect" else to_display(picture)
-            Image.fromarray(shown).save(work)
+            Image.fromarray(picture.shown).save(work)
+    print(plain(f"{out}: scene {record.index}, view {request.view}: {told}"))
+    for condition, file in saved:
+        if file is not None:
+            save_condition(condition, file)
+            print(plain(f"{file}: {in_words(condition, view.lights)}"))
 
 
-def find_condition(text: str, record: SceneRecord, view: ViewData) -> LightingCondition:
-    """Resolve a condition's name, a JSON file or `random:SEED` (metered on the view)."""
-    if text.startswith("random:"):
-        seed = text.removeprefix("random:")
-        if not re.fullmatch("[0-9]{1,10}", seed):
-            raise UserError(f"condition {shown(text)}: the seed must be a whole number of at most 10 digits")
-        rng = Streams(int(seed), record.index)("mix")
-        drawn = random_condition(rng, record.rig, f"random_{seed}")
-        return meter_condition(drawn, view.lights, [thumbnail(view.variants[ALL])])
-    if text in (names := [condition.name for condition in record.conditions]):
-        return record.condition(text)
-    path = Path(text)
-    try:
-        condition = LightingCondition.from_json(read_text(path))
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "content"
-        raise UserError(f"{path} is not a lighting condition: {key}: {first['msg']}") from None
-    except ValueError as error:
-        raise UserError(f"{path} is not a lighting condition: {error}") from None
-    except OSError as error:
-        raise UserError(
-            f"condition {shown(text)} is not one of {names}, nor random:SEED, nor a file ({error.strerror})"
-        ) from None
-    if unknown := set(condition.gains) - set(view.lights):
-        raise UserError(f"{path}: unknown lights {sorted(unknown)}; the scene has {list(view.lights)}")
-    return condition
+def _checked_files(request: MixRequest, what: str) -> list[Path]:
+    """Return the files that are to be written, the picture first; raises `UserError` where options contradict."""
+    if request.lights:
+        if request.out or request.what or any(getattr(request, option) for option in GOES_WITH):
+            raise UserError("--lights only lists; it goes with --scene alone")
+        return []
+    if request.out is None:
+        raise UserError("name the picture to write: --out FILE.png or --out FILE.exr")
+    if request.out.suffix.lower() not in (".png", ".exr"):
+        raise UserError(f"--out {request.out}: the suffix must be .png or .exr")
+    for option, pictured in GOES_WITH.items():
+        value = getattr(request, option)
+        if value is not None and what not in pictured:
+            given = f"--{option.replace('_', '-')} {value}"
+            raise UserError(f"{given} goes with --what {', '.join(pictured)}; this makes the {what}")
+    saves = [path for path in (request.save_condition, request.save_insert_condition) if path is not None]
+    for path in saves:
+        if path.suffix != ".json":
+            raise UserError(f"{path}: the suffix of a condition's file must be .json")
+    if len(saves) == 2 and saves[0] == saves[1]:
+        raise UserError(f"--save-condition and --save-insert-condition are both {saves[0]}; name two files")
+    return [request.out, *saves]
 
 
-def _picture(what: str, view: ViewData, name: str, insert: LightingCondition, base: LightingCondition) -> Float32:
+def _print_lights(record: SceneRecord) -> None:
+    lights = record.rig.lights
+    width = max(len(light.name) for light in lights)
+    for light in lights:
+        print(plain(f"{light.name:{width}}  {describe(light)}"))
+    names = ", ".join(condition.name for condition in record.conditions)
+    print(textwrap.fill(plain(f"stored conditions: {names}"), 80, break_long_words=False))
+
+
+def _lit(what: str, view: ViewData, name: str, insert: LightingCondition, base: LightingCondition) -> Picture:
+    told = f"{what}, lit by {in_words(base, view.lights)}"
     match what:
         case "target":
-            return compose.target(view, base)
+            radiance = compose.target(view, base)
         case "background":
-            return compose.background(view, name, base)
+            radiance, told = compose.background(view, name, base), f"{told}, without {name}"
         case "composite":
-            return compose.composite(view, name, insert=insert, base=base)
+            radiance = compose.composite(view, name, insert=insert, base=base)
+            told = f"{told}, with {name} lit by {in_words(insert, view.lights)}"
         case _:
-            return compose.effect(view, name, base)
+            radiance, told = compose.effect(view, name, base), f"{told}, of {name}"
+    shown = pictures.effect_picture(radiance) if what == "effect" else to_display(radiance)
+    return Picture({"RGB": radiance}, shown, told)
+
+
+def _stored(what: str, view: ViewData) -> Picture:
+    geometry = view.geometry
+    match what:
+        case "depth":
+            near, far = pictures.depth_range(geometry.z_depth)
+            told = f"depth along the optical axis: {near:.3g} m white, {far:.3g} m and beyond dark, nothing black"
+            return Picture({"Z": geometry.z_depth}, pictures.depth_picture(geometry.z_depth), told)
+        case "normal":
+            normals = geometry.normal_world
+            channels = {axis: normals[..., i] for i, axis in enumerate("XYZ")}
+            return Picture(channels, pictures.normal_picture(normals), "normals in world axes, +Z up")
+        case "albedo":
+            return Picture({"RGB": geometry.albedo}, pictures.albedo_picture(geometry.albedo), "albedo")
+        case _:
+            ids = geometry.instance_id
+            told = f"ids of {len(np.unique(ids[ids > 0]))} bodies, each its place in scene.json plus one"
+            return Picture({"ID": ids.astype(np.uint32)}, pictures.ids_picture(ids), told)
 
 
 def _short(indices: Sequence[int]) -> str:

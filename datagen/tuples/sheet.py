@@ -11,30 +11,15 @@ from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.source import DatasetSource
 from multilight.datagen.storage.store import ViewData, read_view
 from multilight.datagen.tuples import compose
+from multilight.datagen.tuples.pictures import depth_picture, effect_picture
 from multilight.lights.display.tonemap import to_display
 from multilight.lights.spec import LightingCondition
-from multilight.scenes.arrays import Float32, UInt8
+from multilight.scenes.arrays import UInt8
 
 COLUMNS = ("background", "composite", "target", "z_depth", "effect")
 MARGIN, HEADER = 6, 20
 SHOWN = 0.01
 """Fraction of a picture that its largest insertable object should cover to be looked at."""
-
-
-def depth_picture(z_depth: Float32) -> UInt8:
-    """Show planar depth as grey, near bright, (H, W, 3) uint8; pixels without geometry are black."""
-    seen = z_depth > 0
-    if not seen.any():
-        return np.zeros((*z_depth.shape, 3), np.uint8)
-    near, far = np.percentile(z_depth[seen], [1, 95])
-    grey = np.clip(1.0 - 0.85 * (z_depth - near) / max(far - near, 1e-6), 0.1, 1.0) * seen
-    return np.repeat((grey * 255).astype(np.uint8)[..., None], 3, axis=2)
-
-
-def effect_picture(effect: Float32) -> UInt8:
-    """Show an exposed, signed difference about middle grey, (H, W, 3) uint8: shadows dark, glow bright."""
-    scaled = np.tanh(effect * 1.5) * 0.5 + 0.5
-    return (scaled * 255).round().astype(np.uint8)
 
 
 def two_conditions(record: SceneRecord, shift: int) -> tuple[LightingCondition, LightingCondition]:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import polars as pl
 import torch
 from torch import Tensor
 from torch.utils.data import Dataset, IterableDataset, get_worker_info
@@ -22,6 +23,7 @@ from multilight.model.data.augment import (
     resize,
 )
 from multilight.model.data.lighting import lit_conditions, tints
+from multilight.model.data.lights import LEAST, SceneLights, read_lights
 from multilight.model.data.mixing import Pictures, mix_tuple
 from multilight.model.data.plan import Draw, Plan, places_of
 from multilight.model.data.settings import SampleSettings
@@ -42,18 +44,31 @@ class MultiLightDataset(Dataset[Sample]):
         mask     (1, S, S)  the object's coverage of the pixel in [0, 1]
         K        (3, 3)     pixels, pixel centres at (x + 0.5, y + 0.5)
         c2w      (4, 4)     camera to world, OpenGL axes, metres
+        insert_gains, base_gains  (N, 3)  linear gains of the N lights in red, green and blue, exposure and white
+                                          balance included; 0 where a light is off
+        light_mask       (N,)    bool, false where it is filled up
+        light_kind       (N,)    int64, numbers of `lights.KINDS`
+        light_position   (N, 3)  metres, in the camera's OpenGL axes; 0 for environments and suns
+        light_direction  (N, 3)  unit, in the same axes: where it shines; 0 for environments and glowing bodies
+        light_amount     (N, 3)  before gains: radiance [W/(m² sr)], of suns irradiance [W/m²], of points and spots
+                                 intensity [W/sr]
+        light_size       (N,)    angular diameter [rad] as seen from the object; 0 for environments and glowing bodies
 
-    all float32, and `meta`: scene, view (of a group the first), emissive (ints), object, kind (strings).
-    The background is lit as the target is; the object in the composite comes from another lighting.
+    float32 but for the two, and `meta`: scene, view (of a group the first), emissive (ints), object, kind (strings).
+    The background is lit as the target is, by `base_gains`; the object in the composite by `insert_gains`. N is 8, or
+    the number of lights in the chosen scene that has most, where that is more.
     """
 
     def __init__(self, address: str | Path, settings: SampleSettings) -> None:
         """Open a dataset at any address; raises `StoreError` and `UserError` naming the value and the remedy."""
         self.settings = settings
         self.source = open_training(address, where=settings.filter())
-        places = places_of(self.source.visible, settings)
+        places, index = places_of(self.source.visible, settings), self.source.index
+        settings.check_size(index.select(pl.min_horizontal("width", "height").min()).item())
         self.plan = Plan(places, settings, self.source.source.record.config.conditions)
-        self._about = {row["index"]: row for row in self.source.index.select("index", "kind", "emissive").to_dicts()}
+        self._about = {row["index"]: row for row in index.select("index", "kind", "emissive").to_dicts()}
+        self._most_lights = max(LEAST, index.select(pl.col("lights").list.len().max()).item())
+        self._lights: dict[int, SceneLights] = {}
         # Shared memory, so that workers that live on from epoch to epoch learn of a new one.
         self._epoch = torch.zeros(1, dtype=torch.int64).share_memory_()
         tints()
@@ -75,7 +90,7 @@ class MultiLightDataset(Dataset[Sample]):
             raise IndexError(f"sample {index} is outside 0..{len(self) - 1}")
         draw = self.plan.draw(self.epoch, index)
         views = [self.source.view(draw.place.scene, number) for number in draw.views]
-        samples = make_samples(views, draw, self.settings)
+        samples = make_samples(views, draw, self.settings, self.lights(draw.place.scene, views[0].lights))
         about = self._about[draw.place.scene]
         if self.settings.views == 1:
             sample: Sample = dict(samples[0])
@@ -89,6 +104,12 @@ class MultiLightDataset(Dataset[Sample]):
             "emissive": int(about["emissive"]),
         }
         return sample
+
+    def lights(self, scene: int, names: tuple[str, ...]) -> SceneLights:
+        """Return a scene's lights in the order of `names`, its layers; raises `StoreError`."""
+        if scene not in self._lights:
+            self._lights[scene] = read_lights(self.source.source.place, scene, names, self._most_lights)
+        return self._lights[scene]
 
 
 class MultiLightStream(IterableDataset[Sample]):
@@ -127,7 +148,9 @@ class MultiLightStream(IterableDataset[Sample]):
         return own if worker is None else np.array_split(own, worker.num_workers)[worker.id]
 
 
-def make_samples(views: list[PackedView], draw: Draw, settings: SampleSettings) -> list[dict[str, Tensor]]:
+def make_samples(
+    views: list[PackedView], draw: Draw, settings: SampleSettings, lights: SceneLights
+) -> list[dict[str, Tensor]]:
     """Light, mix, augment and frame the views of one sample: a dict of tensors each, without the view axis."""
     rng = draw.rng
     if draw.conditions is None:
@@ -144,7 +167,9 @@ def make_samples(views: list[PackedView], draw: Draw, settings: SampleSettings) 
             crop = draw_crop(rng, pictures.mask[0].numpy(), mirrored=mirrored)
         result.append(cropped_sample(view, pictures, crop, settings.size))
     largest = max(float(sample["z_depth"].max()) for sample in result)
-    for sample in result:
+    gains = {"insert_gains": lights.gains(insert * camera.gain), "base_gains": lights.gains(base * camera.gain)}
+    for view, sample in zip(views, result, strict=True):
+        sample |= gains | lights.seen(view.c2w, draw.place.object, mirrored=mirrored)
         nothing = (sample["z_depth"] <= 0).float()
         sample["depth"] = sample["z_depth"].div(max(largest, 1e-6)).add_(nothing)
     return result

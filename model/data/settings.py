@@ -1,10 +1,16 @@
 """What a sample should be."""
 
+import math
+import sys
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 from multilight.datagen.errors import UserError
+from multilight.datagen.text import did_you_mean
 from multilight.scenes.assets.splits import Split
+
+MOST_ENLARGED = 6
+"""Times that pictures are enlarged at most; more is a slip of the pen, and fills the memory."""
 
 
 @dataclass(frozen=True)
@@ -31,10 +37,29 @@ class SampleSettings:
 
     def __post_init__(self) -> None:
         for name in ("size", "views", "length"):
-            if getattr(self, name) < 1:
-                raise UserError(f"{name} {getattr(self, name)} must be 1 or more")
+            value = getattr(self, name)
+            if not isinstance(value, int) or value < 1:
+                raise UserError(f"{name} {value!r} must be a whole number from 1 up")
         if self.seed < 0:
             raise UserError(f"seed {self.seed} must be 0 or more")
+        if not 0 <= self.visible < math.inf:
+            raise UserError(f"visible {self.visible} must be a number of pixels, 0 or more")
+        choices = {"split": (*get_args(Split), None), "lighting": ("random", "stored")}
+        for name, known in choices.items():
+            value = getattr(self, name)
+            if value not in known:
+                close = did_you_mean(str(value), filter(None, known))
+                raise UserError(f"{name} {value!r}: {close}it must be one of {', '.join(map(repr, known))}")
+
+    def check_size(self, side: int) -> None:
+        """Say where pictures whose shorter side has `side` pixels are enlarged; raises `UserError` where beyond use."""
+        if self.size > MOST_ENLARGED * side:
+            raise UserError(
+                f"size {self.size} is too large: the pictures' shorter side has {side} pixels, and they are enlarged "
+                f"at most {MOST_ENLARGED} times; ask for {side}"
+            )
+        if self.size > side:
+            print(f"size {self.size}: the pictures' shorter side has {side} pixels, they are enlarged", file=sys.stderr)
 
     def filter(self) -> str | None:
         """Return one SQL expression for `split` and `where`."""

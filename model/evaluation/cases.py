@@ -16,8 +16,6 @@ from multilight.datagen.storage.variants import ALL
 from multilight.lights.photometry.angular_size import angular_diameter
 from multilight.lights.spec import EmissiveLight
 from multilight.model.data.dataset import MultiLightDataset, make_samples
-from multilight.model.data.lighting import lit_conditions
-from multilight.model.data.plan import Draw
 from multilight.model.data.settings import SampleSettings
 from multilight.model.evaluation.settings import CaseSettings
 from multilight.scenes.appearance import is_mirror, material_class
@@ -113,18 +111,11 @@ def _drawn_group(samples: MultiLightDataset, split: Split, number: int) -> Group
     draw = samples.plan.draw(0, number)
     record = samples.source.source.scene(draw.place.scene)
     views = [samples.source.view(draw.place.scene, view) for view in draw.views]
-    again = samples.plan.draw(0, number).rng  # the object's lighting is drawn first
-    _, base = lit_conditions(again, views, 2)
-    return _group(record, split, draw, base, views, samples.settings)
-
-
-def _group(
-    record: SceneRecord, split: Split, draw: Draw, base: Float32, views: list[PackedView], settings: SampleSettings
-) -> Group:
+    made = make_samples(views, draw, samples.settings, samples.lights(draw.place.scene, views[0].lights))
     cases, cameras, depths = [], [], []
-    for view, sample in zip(draw.views, make_samples(views, draw, settings), strict=True):
+    for view, sample in zip(draw.views, made, strict=True):
         arrays = {name: values.numpy() for name, values in sample.items()}
-        if arrays["mask"].sum() < settings.visible:
+        if arrays["mask"].sum() < samples.settings.visible:
             continue
         name = f"scene {record.index}, {draw.place.object}, view {view}"
         pictures: dict[str, Any] = {
@@ -133,7 +124,8 @@ def _group(
         cases.append(Case(name, **pictures, depth=arrays["depth"][0], mask=arrays["mask"][0]))
         cameras.append(camera_of(arrays["K"], arrays["c2w"], arrays["mask"].shape[1:]))
         depths.append(arrays["z_depth"][0])
-    subsets = subsets_of(record, draw.place.object, light_fractions(views, base))
+    fractions = light_fractions(views, made[0]["base_gains"].numpy()[: len(views[0].lights)])
+    subsets = subsets_of(record, draw.place.object, fractions)
     return Group(tuple(cases), (split, *subsets), tuple(cameras), tuple(depths))
 
 

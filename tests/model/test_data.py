@@ -1,5 +1,6 @@
 """Training data: lighting made on the fly, the same for any number of workers, and true to the stored layers."""
 
+import json
 import shutil
 import subprocess
 import sys
@@ -13,16 +14,29 @@ import pytest
 import torch
 from torch.utils.data import DataLoader, DistributedSampler
 
-from multilight.datagen.errors import UserError
+from multilight.datagen.errors import StoreError, UserError
 from multilight.datagen.storage.pack import pack_dataset
+from multilight.datagen.storage.place import find_place
 from multilight.datagen.storage.source import open_dataset
 from multilight.datagen.tuples import compose
 from multilight.lights.display.tonemap import tone_curve
+from multilight.lights.spec import (
+    AreaLight,
+    EmissiveLight,
+    EnvironmentLight,
+    Light,
+    LightRig,
+    PointLight,
+    SpotLight,
+    SunLight,
+)
 from multilight.model.data import MultiLightDataset, MultiLightStream, SampleSettings
 from multilight.model.data.augment import draw_camera, respond
 from multilight.model.data.lighting import draw_gains, tints
+from multilight.model.data.lights import KINDS, SceneLights, read_lights
 from multilight.model.data.plan import generator
 from multilight.scenes.colour import luminance, srgb_encode
+from multilight.scenes.poses import matrix4, translation
 from multilight.scenes.spec import Sphere
 from tests import ROOT
 
@@ -58,10 +72,14 @@ def test_shapes_and_ranges(packed: Path, views: int) -> None:
         for name, shape in {
             "composite": (3, 32, 32), "background": (3, 32, 32), "target": (3, 32, 32), "effect": (3, 32, 32),
             "depth": (1, 32, 32), "z_depth": (1, 32, 32), "mask": (1, 32, 32), "K": (3, 3), "c2w": (4, 4),
+            "insert_gains": (8, 3), "base_gains": (8, 3), "light_position": (8, 3), "light_direction": (8, 3),
+            "light_amount": (8, 3), "light_size": (8,),
         }.items():  # fmt: skip
             assert sample[name].shape == (*group, *shape)
             assert sample[name].dtype == torch.float32
             assert torch.isfinite(sample[name]).all()
+        assert (sample["light_kind"] > 0).equal(sample["light_mask"])
+        assert sample["light_mask"].shape == (*group, 8)
         for name in ("composite", "background", "target", "depth", "mask"):
             assert 0.0 <= sample[name].min() <= sample[name].max() <= 1.0
         assert torch.equal(sample["effect"], sample["target"] - sample["background"])
@@ -171,8 +189,29 @@ def test_filters_choose_the_scenes(packed: Path) -> None:
         opened(packed, where="colour = 'red'")
     with pytest.raises(UserError, match="no scene"):
         opened(packed, where="index > 7 OR index < 0")
-    with pytest.raises(UserError, match="views 0"):
-        SampleSettings(views=0)
+
+
+@pytest.mark.parametrize(
+    ("settings", "expected"),
+    [
+        ({"views": 0}, "views 0 must be a whole number from 1 up"),
+        ({"size": 32.5}, "size 32.5 must be a whole number"),
+        ({"visible": float("nan")}, "visible nan must be a number of pixels"),
+        ({"split": "trian"}, r"split 'trian': did you mean 'train'\? it must be one of 'train', 'val', 'test'"),
+        ({"lighting": "store"}, r"lighting 'store': did you mean 'stored'\? it must be one of 'random', 'stored'"),
+        ({"size": 2000}, "size 2000 is too large: the pictures' shorter side has 48 pixels.* ask for 48"),
+    ],
+)  # fmt: skip
+def test_wrong_settings_are_told(packed: Path, settings: dict[str, Any], expected: str) -> None:
+    with pytest.raises(UserError, match=expected):
+        opened(packed, **settings)
+
+
+def test_enlarging_is_told(packed: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert opened(packed, size=64)[0]["target"].shape == (3, 64, 64)
+    assert capsys.readouterr().err == "size 64: the pictures' shorter side has 48 pixels, they are enlarged\n"
+    opened(packed, size=48)
+    assert capsys.readouterr().err == ""
 
 
 def test_cropped_and_mirrored_views_show_the_scene_in_its_place(spheres_dataset: Path, packed: Path) -> None:
@@ -204,6 +243,128 @@ def _points(view: dict[str, np.ndarray]) -> np.ndarray:
     depth = view["z_depth"].ravel()
     points = rays[:, depth > 0] * depth[depth > 0] * np.array([[1.0], [-1.0], [-1.0]])
     return view["c2w"][:3, :3] @ points + view["c2w"][:3, 3:]
+
+
+def stored_lights(root: Path, sample: dict[str, Any]) -> list[Light]:
+    """Return a sample's lights as the scene's record has them, in the order of the layers."""
+    return sorted(open_dataset(root).scene(sample["meta"]["scene"]).rig.lights, key=lambda light: light.name)
+
+
+def test_pictures_are_the_gains_mix(spheres_dataset: Path, packed: Path) -> None:
+    data, source = opened(packed, size=48, augment=False, length=12), open_dataset(spheres_dataset)
+    for index in range(12):
+        sample, name = data[index], data.plan.draw(0, index).place.object
+        view = source.view(source.scene(sample["meta"]["scene"]), sample["meta"]["view"])
+        base, insert = (sample[f"{which}_gains"].numpy() for which in ("base", "insert"))
+        count = len(view.lights)
+        assert not np.concatenate([base[count:], insert[count:]]).any()
+        assert sample["light_mask"].tolist() == [True] * count + [False] * (8 - count)
+        target = np.einsum("lhwc,lc->hwc", view.variants["all"], base[:count])
+        behind = np.einsum("lhwc,lc->hwc", view.variants[f"without_{name}"], base[:count])
+        pasted = np.einsum("lhwc,lc->hwc", view.variants[f"foreground_{name}"], insert[:count])
+        composite = pasted + (1 - view.coverage[name][..., None]) * behind
+        for what, linear in (("target", target), ("background", behind), ("composite", composite)):
+            shown = srgb_encode(tone_curve(linear))[:, 8:56].transpose(2, 0, 1)
+            np.testing.assert_allclose(sample[what].numpy(), shown, atol=5e-5, err_msg=what)
+
+
+def test_gains_hold_the_cameras_exposure_and_white_balance(packed: Path) -> None:
+    plain, varied = opened(packed, augment=False, length=10), opened(packed, length=10)
+    for index in range(10):
+        (one, other), lit = (plain[index], varied[index]), []
+        for name in ("insert_gains", "base_gains"):
+            on = one[name] > 0
+            assert torch.equal(on, other[name] > 0)
+            lit.append((other[name] / one[name])[on].view(-1, 3))
+        camera = torch.cat(lit)
+        torch.testing.assert_close(camera, camera[:1].expand_as(camera))
+        assert not torch.equal(camera[0], torch.ones(3))
+
+
+def test_lights_are_where_the_scene_has_them(spheres_dataset: Path, packed: Path) -> None:
+    """Back in the world by c2w, mirrored or not, whatever was cropped; equal from native, packed and other views."""
+    data, native = opened(packed, views=2, length=16), opened(spheres_dataset, views=2, length=16)
+    turned = set()
+    for index in range(16):
+        sample = data[index]
+        assert same(sample, native[index])
+        view = open_dataset(spheres_dataset).scene(sample["meta"]["scene"]).views[sample["meta"]["view"]]
+        mirror = np.diag([-1.0, 1, 1]) if np.isclose(sample["c2w"][0, 0, 3], -view.c2w[0][3], atol=1e-5) else np.eye(3)
+        turned.add(mirror[0, 0])
+        for number, light in enumerate(stored_lights(spheres_dataset, sample)):
+            assert KINDS[sample["light_kind"][0, number]] == light.kind
+            np.testing.assert_allclose(sample["light_amount"][0, number], light.amount, rtol=1e-6)
+            for pose, place, direction in zip(
+                sample["c2w"].numpy(), sample["light_position"], sample["light_direction"], strict=True
+            ):
+                if wanted := getattr(light, "position", None):
+                    world = mirror @ (pose[:3, :3] @ place[number].numpy() + pose[:3, 3])
+                    np.testing.assert_allclose(world, wanted, atol=1e-5)
+                along = np.array(getattr(light, "direction", (0.0, 0.0, 0.0)))
+                along = along / max(np.linalg.norm(along), 1e-9)
+                np.testing.assert_allclose(mirror @ pose[:3, :3] @ direction[number].numpy(), along, atol=1e-6)
+    assert turned == {-1.0, 1.0}
+
+
+def test_batches_of_lights(packed: Path) -> None:
+    for views, group in ((1, ()), (2, (2,))):
+        batch = next(iter(DataLoader(opened(packed, views=views, length=4), batch_size=4)))
+        assert batch["light_position"].shape == (4, *group, 8, 3)
+        assert batch["light_mask"].dtype == torch.bool
+
+
+def test_larger_rigs_set_the_number(packed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("multilight.model.data.dataset.LEAST", 1)
+    most = int(open_dataset(packed).table["lights"].list.len().to_numpy().max())
+    assert opened(packed)[0]["light_kind"].shape == (most,)
+
+
+def lights_of(folder: Path, *lights: Light, names: tuple[str, ...] = ()) -> SceneLights:
+    """Read the lights of a scene with a sphere `ball` at (0, 3, 1) and a `lamp` at (1, 3, 1)."""
+    bodies = [
+        {"name": name, "insertable": name == "ball", "world_from_body": matrix4(translation((x, 3, 1)))}
+        for name, x in (("ball", 0), ("lamp", 1))
+    ]
+    record = folder / "scenes" / "000000" / "scene.json"
+    record.parent.mkdir(parents=True)
+    record.write_text(json.dumps({"rig": LightRig(lights=lights).model_dump(), "scene": {"bodies": bodies}}))
+    return read_lights(find_place(folder), 0, names or tuple(light.name for light in lights), 8)
+
+
+def test_lights_in_a_rotated_cameras_axes(tmp_path: Path) -> None:
+    """A camera at (0, 0, 1) that looks along +Y: its right is +X, its up +Z. Rolled by a quarter, its right is -Z."""
+    white = (1.0, 1.0, 1.0)
+    down = matrix4(translation((2, 0, 1)))  # an area light shines along -Z
+    lights = lights_of(
+        tmp_path,
+        SunLight(name="sun", direction=(0, 0, -2), irradiance=white, angle=0.01),
+        PointLight(name="above", position=(0, 0, 3), intensity=(1, 2, 3), radius=0.1),
+        SpotLight(name="ahead", position=(0, 5, 1), direction=(3, 0, 0), intensity=white, half_angle=0.5),
+        AreaLight(name="right", width=1, height=1, world_from_light=down, radiance=white),
+        EmissiveLight(name="glow", body="lamp", radiance=white),
+        EnvironmentLight(name="sky"),
+    )
+    upright = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 1], [0, 0, 0, 1]])
+    places = np.array([(0, 0, 0), (0, 2, 0), (0, 0, -5), (2, 0, 0), (1, 0, -3), (0, 0, 0)])
+    directions = np.array([(0, -1, 0), (0, -1, 0), (1, 0, 0), (0, -1, 0), (0, 0, 0), (0, 0, 0)])
+    roll = np.array([[0.0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])  # right becomes the former down
+    for c2w, rotation in ((upright, np.eye(3)), (upright @ roll, roll[:3, :3].T)):
+        for mirrored, flip in ((False, 1.0), (True, -1.0)):
+            seen = {name: values.numpy() for name, values in lights.seen(c2w, "ball", mirrored=mirrored).items()}
+            sign = np.array([flip, 1, 1])
+            np.testing.assert_allclose(seen["light_position"][:6], places @ rotation.T * sign, atol=1e-6)
+            np.testing.assert_allclose(seen["light_direction"][:6], directions @ rotation.T * sign, atol=1e-6)
+    assert [KINDS[kind] for kind in seen["light_kind"]] == [
+        "sun", "point", "spot", "area", "emissive", "environment", "none", "none",
+    ]  # fmt: skip
+    assert seen["light_amount"][1].tolist() == [1, 2, 3]
+    assert seen["light_size"][:3] == pytest.approx([0.01, 2 * np.arctan(0.1 / np.hypot(3, 2)), 0.0])
+    assert not any(seen[name][6:].any() for name in seen)
+
+
+def test_views_with_other_lights_than_their_scene(tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match=r"scene\.json has the lights \['sky'\], its views \['key'\]"):
+        lights_of(tmp_path, EnvironmentLight(name="sky"), names=("key",))
 
 
 def test_exposures_are_sane(packed: Path) -> None:
