@@ -13,6 +13,7 @@ from multilight.lights.photometry.radiometry import rgb_from_scalar
 from multilight.scenes.arrays import Float64
 from multilight.scenes.colour import srgb_decode
 from multilight.scenes.frozen import Rgb
+from multilight.scenes.streams import Rng
 
 COLDEST, HOTTEST = 1000.0, 25000.0
 """Range of colour temperatures in K: below, Rec.709 shows red only; above, the CIE daylight formula ends."""
@@ -114,7 +115,7 @@ def gel_rgb(name: str, density: float = 1.0) -> Rgb:
     return pale + density * red, pale + density * green, pale + density * blue
 
 
-def random_gel(rng: np.random.Generator) -> str:
+def random_gel(rng: Rng) -> str:
     """Draw the name of a gel, each as likely as any other."""
     return str(rng.choice(sorted(GELS)))
 

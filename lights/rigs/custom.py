@@ -29,6 +29,7 @@ from multilight.scenes.frozen import Rgb
 from multilight.scenes.names import free_name
 from multilight.scenes.poses import matrix4
 from multilight.scenes.spec import SceneSpec
+from multilight.scenes.streams import Rng
 
 PHOTOMETRIC = ("cd", "lx", "nit")
 WIDEST_CONE = 1.49
@@ -39,7 +40,7 @@ DARK = 5.0
 """Illuminance [lx] at the still life below which a background counts as unlit there."""
 
 
-def custom_rig(rng: np.random.Generator, meter: LightMeter, design: RigDesign, *, lights: tuple[int, int]) -> LightRig:
+def custom_rig(rng: Rng, meter: LightMeter, design: RigDesign, *, lights: tuple[int, int]) -> LightRig:
     """Make a rig of the background's own lights, and of the object that is meant to glow.
 
     Where the file has no light, or none that reaches the objects, lamps are hung as about a table.

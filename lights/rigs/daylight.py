@@ -11,7 +11,7 @@ from multilight.scenes.assets.builtin.skies import OVERCAST, sky_name, sky_param
 from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.colour import luminance
 from multilight.scenes.poses import direction_from
-from multilight.scenes.streams import log_uniform
+from multilight.scenes.streams import Rng, log_uniform
 
 SUN_SIZES = (0.0093, 0.06)
 """Angular diameters [rad] of the suns that are drawn: from the sun's own to a veiled one."""
@@ -50,9 +50,7 @@ def moon(azimuth: float, elevation: float) -> SunLight:
     return SunLight(name="moon", colour_temperature=MOON_KELVIN, direction=direction, irradiance=(red, green, blue))
 
 
-def environment(
-    rng: np.random.Generator, meter: LightMeter, tint: Tint, *, name: str, categories: frozenset[str]
-) -> EnvironmentLight:
+def environment(rng: Rng, meter: LightMeter, tint: Tint, *, name: str, categories: frozenset[str]) -> EnvironmentLight:
     """Draw a map of the categories, of unit radiance; its bright side comes over a random open side.
 
     A uniform environment of the tint where no map is installed, or none is asked for.
@@ -78,9 +76,7 @@ def rotated_to(light: EnvironmentLight, meter: LightMeter, azimuth: float) -> En
     return light.model_copy(update={"rotation": (azimuth - float(np.arctan2(mean[1], mean[0]))) % (2 * np.pi)})
 
 
-def open_direction(
-    rng: np.random.Generator, meter: LightMeter, azimuth: float, elevation: float
-) -> tuple[float, float] | None:
+def open_direction(rng: Rng, meter: LightMeter, azimuth: float, elevation: float) -> tuple[float, float] | None:
     """Return the azimuth and elevation [rad] nearest to those wanted from which the still life is free; None if none.
 
     Nearest of 48 about the wanted direction, ever further from it.
@@ -93,7 +89,7 @@ def open_direction(
     return (float(around[free[0]]), float(above[free[0]])) if len(free) else None
 
 
-def plain_sun(rng: np.random.Generator, meter: LightMeter, azimuth: float, elevation: float) -> SunLight | None:
+def plain_sun(rng: Rng, meter: LightMeter, azimuth: float, elevation: float) -> SunLight | None:
     """Return a sun of unit irradiance near a direction [rad] where that is open; None where it cannot come in."""
     found = open_direction(rng, meter, azimuth, elevation)
     if found is None:
@@ -112,7 +108,7 @@ def _sky(name: str, azimuth: float) -> EnvironmentLight:
     return EnvironmentLight(name="sky", map=f"builtin/{name}", radiance=(_SKY_UNIT,) * 3, rotation=rotation)
 
 
-def _draw_place(rng: np.random.Generator, maps: list[AssetInfo]) -> AssetInfo:
+def _draw_place(rng: Rng, maps: list[AssetInfo]) -> AssetInfo:
     """Draw a place first, so that one that comes in several packs counts once."""
     places = sorted({info.place or info.id for info in maps})
     wanted = places[int(rng.integers(len(places)))]

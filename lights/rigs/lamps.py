@@ -21,7 +21,7 @@ from multilight.scenes.assets.formats.ies import profile_flux
 from multilight.scenes.cameras.pinhole import look_at
 from multilight.scenes.frozen import Rgb, Vector3
 from multilight.scenes.poses import direction_from, matrix4
-from multilight.scenes.streams import log_uniform
+from multilight.scenes.streams import Rng, log_uniform
 
 LampKind = Literal["area", "point", "spot"]
 Lamp = PointLight | SpotLight | AreaLight
@@ -77,20 +77,20 @@ def white_tint(temperature: float) -> Tint:
     return Tint(temperature_to_rgb(kelvin), kelvin)
 
 
-def gelled(rng: np.random.Generator, tint: Tint, density: float) -> Tint:
+def gelled(rng: Rng, tint: Tint, density: float) -> Tint:
     """Put a random gel of a density in [0, 1] before a light."""
     gel = random_gel(rng)
     red, green, blue = (a * b for a, b in zip(tint.rgb, gel_rgb(gel, density), strict=True))
     return replace(tint, rgb=rgb_from_scalar(1.0, (red, green, blue)), gel=gel)
 
 
-def draw_tint(rng: np.random.Generator, *, gels: float, median: float = 4600.0) -> Tint:
+def draw_tint(rng: Rng, *, gels: float, median: float = 4600.0) -> Tint:
     """Draw a colour temperature about `median` [K] and, with probability `gels`, a gel before it."""
     tint = white_tint(float(np.exp(rng.normal(np.log(median), TINT_SPREAD))))
     return gelled(rng, tint, float(rng.uniform(0.4, 0.95))) if rng.random() < gels else tint
 
 
-def hang(rng: np.random.Generator, meter: LightMeter, plan: LampPlan) -> Lamp:
+def hang(rng: Rng, meter: LightMeter, plan: LampPlan) -> Lamp:
     """Hang a lamp of 1 lm as near to where it is wanted as it has a free line of sight, aimed at the still life."""
     position = _free_position(rng, meter, plan)
     distance = float(np.linalg.norm(position - meter.aim))
@@ -141,7 +141,7 @@ def one_lumen(lamp: Lamp) -> Lamp:
     return lamp.model_copy(update={"intensity": intensity_from_lumens(1.0, lamp.intensity, solid_angle)})
 
 
-def _projecting(rng: np.random.Generator, meter: LightMeter, spot: SpotLight) -> SpotLight:
+def _projecting(rng: Rng, meter: LightMeter, spot: SpotLight) -> SpotLight:
     """Put a gobo before a spot, whose cone then must hold the image's square; small sources project sharply."""
     gobos = [info.id for info in meter.library.list("texture") if info.category == "gobo"]
     if not gobos:
@@ -163,7 +163,7 @@ def _facing(position: Float64, aim: Float64) -> Float64:
     return look_at(position, aim, up=(1.0, 0.0, 0.0) if steep else (0.0, 0.0, 1.0))
 
 
-def _free_position(rng: np.random.Generator, meter: LightMeter, plan: LampPlan) -> Float64:
+def _free_position(rng: Rng, meter: LightMeter, plan: LampPlan) -> Float64:
     """Draw a position near the wanted one that sees the still life; the search goes ever wider, higher and nearer."""
     tangent = 2.0 * np.tan(plan.size / 2) * np.sqrt(plan.aspect)
     furthest = min(DISTANCES[1], LARGEST / tangent)

@@ -8,15 +8,7 @@ from multilight.lights.photometry.angular_size import angular_diameter
 from multilight.lights.photometry.colour import temperature_of
 from multilight.lights.photometry.irradiance import LightMeter, map_directions, small_map
 from multilight.lights.photometry.radiometry import photometric_from_watts
-from multilight.lights.spec import (
-    AreaLight,
-    EmissiveLight,
-    EnvironmentLight,
-    Light,
-    PointLight,
-    SpotLight,
-    SunLight,
-)
+from multilight.lights.spec import AreaLight, EmissiveLight, EnvironmentLight, Light, PointLight, SpotLight, SunLight
 from multilight.scenes.arrays import Float64
 from multilight.scenes.colour import luminance
 from multilight.scenes.frozen import Rgb

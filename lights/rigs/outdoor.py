@@ -11,7 +11,7 @@ from multilight.lights.rigs.design import ELEVATIONS, RigDesign
 from multilight.lights.rigs.lamps import LampKind, LampPlan, draw_tint, hang
 from multilight.lights.rigs.tabletop import glow_of, key_tint
 from multilight.lights.spec import Light, LightRig
-from multilight.scenes.streams import log_uniform, pick_at, weighted_pick
+from multilight.scenes.streams import Rng, log_uniform, pick_at, weighted_pick
 
 MOODS = {"sun": 0.36, "golden": 0.2, "overcast": 0.12, "place": 0.16, "night": 0.16}
 """What the weather and the hour are, with their probabilities."""
@@ -53,7 +53,7 @@ _PRACTICALS: dict[str, tuple[LampKind, float, float]] = {
 """What shines by night: its kind, median colour temperature [K], and probability of a gel."""
 
 
-def outdoor_rig(rng: np.random.Generator, meter: LightMeter, design: RigDesign, *, lights: tuple[int, int]) -> LightRig:
+def outdoor_rig(rng: Rng, meter: LightMeter, design: RigDesign, *, lights: tuple[int, int]) -> LightRig:
     """Draw an outdoor rig of `lights` (fewest, most) lights; sun and sky keep their true strengths.
 
     One light alone by day is the sky: open shade. Beside sun or sky stand reflectors and flashes.
@@ -75,7 +75,7 @@ def outdoor_rig(rng: np.random.Generator, meter: LightMeter, design: RigDesign, 
     return LightRig(lights=tuple(rig))
 
 
-def _daylight(rng: np.random.Generator, meter: LightMeter, design: RigDesign, mood: str, count: int) -> list[Light]:
+def _daylight(rng: Rng, meter: LightMeter, design: RigDesign, mood: str, count: int) -> list[Light]:
     """Return sun and sky in their true strengths, or the sky alone."""
     low, high = GOLDEN if mood == "golden" else DAY
     height = float(np.radians(low + (high - low) * (np.degrees(design.elevation) - ELEVATIONS[0]) / np.ptp(ELEVATIONS)))
@@ -88,7 +88,7 @@ def _daylight(rng: np.random.Generator, meter: LightMeter, design: RigDesign, mo
     return [sun, sky] if count > 1 else [sky]
 
 
-def _place(rng: np.random.Generator, meter: LightMeter, design: RigDesign) -> list[Light]:
+def _place(rng: Rng, meter: LightMeter, design: RigDesign) -> list[Light]:
     """Return the map of a real place by day, its brightest side where the design has the key."""
     tint = draw_tint(rng, gels=0.0, median=6500.0)
     light = environment(rng, meter, tint, name="environment", categories=frozenset({"outdoor"}))
@@ -97,7 +97,7 @@ def _place(rng: np.random.Generator, meter: LightMeter, design: RigDesign) -> li
     return balance(light, (), meter, key_to_fill=1.0, lux=lux)
 
 
-def _helpers(rng: np.random.Generator, meter: LightMeter, room: int) -> list[LightRole]:
+def _helpers(rng: Rng, meter: LightMeter, room: int) -> list[LightRole]:
     """Stand up to `room` reflectors and flashes about the subject, each a part of the daylight."""
     roles = []
     for i in rng.permutation(len(_HELPERS))[: max(0, room)]:
@@ -110,9 +110,7 @@ def _helpers(rng: np.random.Generator, meter: LightMeter, room: int) -> list[Lig
     return roles
 
 
-def _night(
-    rng: np.random.Generator, meter: LightMeter, design: RigDesign, count: int, glow: LightRole | None
-) -> LightRig:
+def _night(rng: Rng, meter: LightMeter, design: RigDesign, count: int, glow: LightRole | None) -> LightRig:
     """Light the subject with lanterns and street lamps under a night sky, maybe with the moon."""
     kind: LampKind = "spot" if design.key == "spot" else "point"
     size = min(design.angular_size, 0.2)

@@ -26,7 +26,7 @@ from multilight.scenes.materials.emission import sample_glow
 from multilight.scenes.meshes import triangle_areas
 from multilight.scenes.poses import matrix4, translation
 from multilight.scenes.spec import Body, MeshAsset, SceneSpec, Texture
-from multilight.scenes.streams import Streams, log_uniform, weighted_pick
+from multilight.scenes.streams import Rng, Streams, log_uniform, weighted_pick
 
 MOST_LIGHTS = 8
 DAY_LUX = (200.0, 1200.0)
@@ -115,7 +115,7 @@ def _scaled_to(wanted: float, shining: list[tuple[_Glow, EmissiveLight]]) -> lis
     return [light.scaled(factor) if glow.bright else light for glow, light in shining]
 
 
-def _glows(rng: np.random.Generator, scene: SceneSpec, library: AssetLibrary) -> list[_Glow]:
+def _glows(rng: Rng, scene: SceneSpec, library: AssetLibrary) -> list[_Glow]:
     """List what may shine: inserted bodies first, then the others in a random order, one part a body."""
     found = []
     for i in rng.permutation(len(scene.bodies)):
@@ -136,7 +136,7 @@ def _kind(body: Body, part: str) -> str:
     return body.category if body.category in FLUX else "screen"
 
 
-def _shining(rng: np.random.Generator, glow: _Glow, library: AssetLibrary) -> EmissiveLight:
+def _shining(rng: Rng, glow: _Glow, library: AssetLibrary) -> EmissiveLight:
     """Let a part shine: objects as such things do (`materials.emission`), screens like daylight, lamps warm mostly."""
     assert isinstance(glow.body.geometry, MeshAsset)
     info = library.info(glow.body.geometry.asset)
@@ -180,7 +180,7 @@ def _floor_area(scene: SceneSpec, library: AssetLibrary) -> float:
     return float(np.prod(span))
 
 
-def _downlights(rng: np.random.Generator, scene: SceneSpec, fewest: int, *, most: int) -> list[Light]:
+def _downlights(rng: Rng, scene: SceneSpec, fewest: int, *, most: int) -> list[Light]:
     """Let recessed spots or flat panels in the ceiling shine down, as often as `RECESSED` says.
 
     At least `fewest`, and none beyond `most`.
@@ -189,7 +189,7 @@ def _downlights(rng: np.random.Generator, scene: SceneSpec, fewest: int, *, most
     return [_downlight(rng, scene, "" if number == 0 else f"_{number + 1}") for number in range(count)]
 
 
-def _downlight(rng: np.random.Generator, scene: SceneSpec, suffix: str) -> SpotLight | AreaLight:
+def _downlight(rng: Rng, scene: SceneSpec, suffix: str) -> SpotLight | AreaLight:
     """Let one shine down between what is inserted and the centre of the room."""
     places = np.array([np.array(body.world_from_body)[:3, 3] for body in scene.bodies if body.insertable])
     ceiling = next(body for body in scene.bodies if body.category == "ceiling")

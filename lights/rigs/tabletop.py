@@ -17,7 +17,7 @@ from multilight.scenes.appearance import is_mirror
 from multilight.scenes.materials.emission import sample_glow
 from multilight.scenes.spec import MeshAsset
 from multilight.scenes.still_life.setting import emissive_candidate
-from multilight.scenes.streams import log_uniform, weighted_pick
+from multilight.scenes.streams import Rng, log_uniform, weighted_pick
 
 LightKind = Literal["environment", "sun", "point", "spot", "area", "emissive"]
 
@@ -51,12 +51,7 @@ _FILL_POSITIONS = (
 
 
 def tabletop_rig(
-    rng: np.random.Generator,
-    meter: LightMeter,
-    design: RigDesign,
-    *,
-    kinds: tuple[LightKind, ...],
-    lights: tuple[int, int],
+    rng: Rng, meter: LightMeter, design: RigDesign, *, kinds: tuple[LightKind, ...], lights: tuple[int, int]
 ) -> LightRig:
     """Draw a rig of `lights` (fewest, most) lights of the given kinds for a still life on a table.
 
@@ -93,13 +88,13 @@ def tabletop_rig(
     return LightRig(lights=tuple(balance(key, others, meter, key_to_fill=design.key_to_fill, lux=lux)))
 
 
-def key_tint(rng: np.random.Generator, design: RigDesign) -> Tint:
+def key_tint(rng: Rng, design: RigDesign) -> Tint:
     """Return the colour that a design gives its key."""
     tint = white_tint(design.colour_temperature)
     return gelled(rng, tint, design.gel_saturation) if design.gel_saturation > 0 else tint
 
 
-def glow_of(rng: np.random.Generator, meter: LightMeter) -> LightRole | None:
+def glow_of(rng: Rng, meter: LightMeter) -> LightRole | None:
     """Let the part that is meant to shine glow as such things do (`materials.emission`), a display with its picture."""
     found = emissive_candidate(meter.scene)
     if found is None:
@@ -118,9 +113,7 @@ def glow_of(rng: np.random.Generator, meter: LightMeter) -> LightRole | None:
     return LightRole(light, unit=meter.table_irradiance(light), fixed=True)
 
 
-def _key(
-    rng: np.random.Generator, meter: LightMeter, design: RigDesign, kinds: tuple[LightKind, ...], *, uniform: bool
-) -> Light:
+def _key(rng: Rng, meter: LightMeter, design: RigDesign, kinds: tuple[LightKind, ...], *, uniform: bool) -> Light:
     """Place the key as designed; what the scene or the kinds do not allow becomes a lamp."""
     azimuth = meter.camera + design.azimuth
     if design.key == "environment" and "environment" in kinds:
@@ -140,7 +133,7 @@ def _key(
 
 
 def _with_environment(
-    rng: np.random.Generator, meter: LightMeter, key: Light, *, enclosed: bool, uniform: bool
+    rng: Rng, meter: LightMeter, key: Light, *, enclosed: bool, uniform: bool
 ) -> tuple[Light, EnvironmentLight]:
     """Add an environment beside the key; a sun on open ground may bring its own sky."""
     tint = draw_tint(rng, gels=0.0, median=6000.0)
@@ -153,13 +146,7 @@ def _with_environment(
 
 
 def _fills(
-    rng: np.random.Generator,
-    meter: LightMeter,
-    key: Light,
-    room: int,
-    kinds: tuple[LightKind, ...],
-    *,
-    enclosed: bool,
+    rng: Rng, meter: LightMeter, key: Light, room: int, kinds: tuple[LightKind, ...], *, enclosed: bool
 ) -> list[LightRole]:
     """Draw the lights beside key, glow and environment: lamps, now and then a sun or one environment more."""
     roles: list[LightRole] = []

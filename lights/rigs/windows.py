@@ -13,7 +13,7 @@ from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.colour import luminance
 from multilight.scenes.poses import direction_from
 from multilight.scenes.spec import Body
-from multilight.scenes.streams import log_uniform
+from multilight.scenes.streams import Rng, log_uniform
 
 SUN_RATIO = (1.0, 5.0)
 """Illuminance of sunlight, facing it, against that of the sky on the window."""
@@ -23,7 +23,7 @@ WINDOW_SUN_SIZES = (SUN_ANGLE, 0.05)
 """Angular diameters of the sun [rad] that comes in, from its own to a veiled one."""
 
 
-def daylight(rng: np.random.Generator, windows: list[Body], library: AssetLibrary, lux: float) -> EnvironmentLight:
+def daylight(rng: Rng, windows: list[Body], library: AssetLibrary, lux: float) -> EnvironmentLight:
     """Draw what is outside: an outdoor map rotated so that its bright side is before a window, scaled to `lux`."""
     outward = _outward(windows[int(rng.integers(len(windows)))])
     wanted = watts_from_photometric(lux)
@@ -54,7 +54,7 @@ def _outward(window: Body) -> Float64:
     return np.asarray(pose[:3, 1] / np.linalg.norm(pose[:3, 1]))
 
 
-def sunlight(rng: np.random.Generator, windows: list[Body], sky_lux: float) -> SunLight:
+def sunlight(rng: Rng, windows: list[Body], sky_lux: float) -> SunLight:
     """Let the sun in at a window, from the side and low enough to reach into the room."""
     outward = _outward(windows[int(rng.integers(len(windows)))])
     azimuth = float(np.arctan2(outward[1], outward[0])) + float(rng.uniform(-1.0, 1.0))

@@ -68,11 +68,7 @@ def insert_into_files(wanted: Insertion) -> None:
 
 
 def _write(out: Path, capture: Capture, inserted: Inserted, result: Harmonized) -> None:
-    for folder, views in (
-        ("composites", inserted.composites),
-        ("single", result.single),
-        ("harmonized", result.views),
-    ):
+    for folder, views in (("composites", inserted.composites), ("single", result.single), ("harmonized", result.views)):
         for name, view in zip(capture.names, views, strict=True):
             write_picture(out / folder / Path(name).with_suffix(".png"), view)
     for name, mask in zip(capture.names, inserted.coverage, strict=True):

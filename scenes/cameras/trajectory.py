@@ -23,7 +23,7 @@ from multilight.scenes.errors import MultilightError
 from multilight.scenes.geometry.rays import SceneRays
 from multilight.scenes.poses import box_centre, translation
 from multilight.scenes.spec import Camera
-from multilight.scenes.streams import log_uniform
+from multilight.scenes.streams import Rng, log_uniform
 
 CLEARANCE = 0.08
 """Smallest distance [m] of a camera to the convex hull of any body, and to any wall."""
@@ -67,7 +67,7 @@ class Subject:
 
 
 def sample_trajectory(
-    rng: np.random.Generator,
+    rng: Rng,
     subject: Subject,
     *,
     width: int,
@@ -98,7 +98,7 @@ def sample_trajectory(
     raise TrajectoryError(f"none of {TRIES} {kind} paths is free and shows every insertable object")
 
 
-def _framing(rng: np.random.Generator, subject: Subject, *, narrow: float) -> Framing:
+def _framing(rng: Rng, subject: Subject, *, narrow: float) -> Framing:
     """Measure the still life and the table, and draw how tightly they are framed."""
     group = float(np.linalg.norm(subject.group - box_centre(subject.group), axis=1).max())
     table = float(np.linalg.norm(subject.table - subject.table.mean(axis=0), axis=1).max())
@@ -115,12 +115,7 @@ def _aims(subject: Subject) -> tuple[Float64, Float64]:
 
 
 def _scattered(
-    rng: np.random.Generator,
-    subject: Subject,
-    framing: Framing,
-    size: tuple[int, int],
-    views: int,
-    settings: CameraSettings,
+    rng: Rng, subject: Subject, framing: Framing, size: tuple[int, int], views: int, settings: CameraSettings
 ) -> tuple[Camera, ...]:
     """Draw views one by one: the first candidate that shows everything, else the first that stands free."""
     chosen: list[Camera] = []
@@ -135,9 +130,7 @@ def _scattered(
     return tuple(chosen)
 
 
-def _moved_in(
-    rng: np.random.Generator, cameras: tuple[Camera, ...], subject: Subject, fraction: float
-) -> tuple[Camera, ...]:
+def _moved_in(rng: Rng, cameras: tuple[Camera, ...], subject: Subject, fraction: float) -> tuple[Camera, ...]:
     """Let the last cameras of a path move in on one object, where the others still show everything."""
     body = sorted(subject.watched)[int(rng.integers(len(subject.watched)))]
     points = subject.watched[body]
@@ -152,7 +145,7 @@ def _moved_in(
 
 
 def focused(
-    rng: np.random.Generator, cameras: tuple[Camera, ...], objects: dict[int, Float64], settings: CameraSettings
+    rng: Rng, cameras: tuple[Camera, ...], objects: dict[int, Float64], settings: CameraSettings
 ) -> tuple[Camera, ...]:
     """Open the lens in the stated fraction of scenes, focused throughout on one of the objects' points (N, 3)."""
     if rng.random() >= settings.depth_of_field:

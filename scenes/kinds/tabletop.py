@@ -15,7 +15,7 @@ from multilight.scenes.still_life.sample import StillLifeSettings, sample_still_
 from multilight.scenes.still_life.selection import choose_table
 from multilight.scenes.still_life.setting import Setting, make_body
 from multilight.scenes.still_life.surroundings import PROBABILITIES, SurroundingKind, sample_surrounding
-from multilight.scenes.streams import Streams, weighted_pick
+from multilight.scenes.streams import Rng, Streams, weighted_pick
 
 _TOPS = frozenset({"wood", "marble", "linen", "fabric", "laminate", "stone", "terrazzo", "cork"})
 _BACKED = frozenset({"counter", "nightstand", "sideboard"})
@@ -69,13 +69,7 @@ def _setting(
 
 
 def _table(
-    rng: np.random.Generator,
-    library: AssetLibrary,
-    info: AssetInfo,
-    mesh: Mesh,
-    surface: SupportSurface,
-    *,
-    aligned: bool,
+    rng: Rng, library: AssetLibrary, info: AssetInfo, mesh: Mesh, surface: SupportSurface, *, aligned: bool
 ) -> Body:
     """Put the table down, parallel to the walls where there are any, and draw its materials."""
     materials = list(body_materials(rng, library, info, mesh))

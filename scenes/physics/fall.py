@@ -18,6 +18,7 @@ from multilight.scenes.arrays import Float64
 from multilight.scenes.geometry.solids import Placed, Solid
 from multilight.scenes.meshes import stacked, triangle_crosses
 from multilight.scenes.poses import apply_pose, pose_of
+from multilight.scenes.streams import Rng
 
 CELL = 0.004
 """Grid [m] of the height field."""
@@ -39,9 +40,7 @@ class Region:
     half: float
 
 
-def fall(
-    rng: np.random.Generator, movers: Sequence[Solid], fixed: Sequence[Placed], region: Region, *, spread: float
-) -> list[Float64]:
+def fall(rng: Rng, movers: Sequence[Solid], fixed: Sequence[Placed], region: Region, *, spread: float) -> list[Float64]:
     """Release bodies one after the other, in random rotations, within `spread` [m] of the region's centre.
 
     Returns each body's pose (4, 4) when all are at rest or time is up; some may have rolled out of the region.

@@ -10,6 +10,7 @@ from multilight.scenes.geometry.contact import support_of
 from multilight.scenes.geometry.overlap import boxes_meet, depth, gap, touching, way_out
 from multilight.scenes.geometry.solids import Placed, Solid
 from multilight.scenes.physics.fall import Region, fall
+from multilight.scenes.streams import Rng
 
 DEEPEST = 8e-4
 """No two bodies that were settled lie deeper in each other than this [m]; `geometry.contact` allows a millimetre."""
@@ -27,9 +28,7 @@ class Settled:
     dropped: dict[int, str]
 
 
-def settle(
-    rng: np.random.Generator, movers: Sequence[Solid], fixed: Sequence[Placed], region: Region, *, spread: float
-) -> Settled:
+def settle(rng: Rng, movers: Sequence[Solid], fixed: Sequence[Placed], region: Region, *, spread: float) -> Settled:
     """Let bodies fall in turn onto what is fixed, within `spread` [m] of the region's centre, and come to rest.
 
     What physics leaves is corrected against the true meshes: no body lies deeper than `DEEPEST` in another, and all

@@ -27,7 +27,7 @@ from multilight.scenes.poses import apply_pose, pose_at, translation
 from multilight.scenes.spec import Body, Material
 from multilight.scenes.still_life.placement import PlacementError, Standing
 from multilight.scenes.still_life.setting import make_body
-from multilight.scenes.streams import pick
+from multilight.scenes.streams import Rng, pick
 
 PileKind = Literal["fruit_bowl", "books", "plates", "bowls", "cups", "toys"]
 KINDS: tuple[PileKind, ...] = get_args(PileKind)
@@ -83,7 +83,7 @@ class Pile:
         )
 
     def bodies(
-        self, rng: np.random.Generator, library: AssetLibrary, world_from_pile: Float64, *, taken: Collection[str]
+        self, rng: Rng, library: AssetLibrary, world_from_pile: Float64, *, taken: Collection[str]
     ) -> list[Body]:
         """Make bodies of the members, the pile standing at `world_from_pile` (4, 4), under names that are not `taken`.
 
@@ -115,9 +115,7 @@ class Pile:
         return Standing(first.info, first.mesh, hull, np.eye(3), 0.0, footprint)
 
 
-def sample_pile(
-    rng: np.random.Generator, library: AssetLibrary, *, kind: PileKind | None = None, widest: float = 0.4
-) -> Pile:
+def sample_pile(rng: Rng, library: AssetLibrary, *, kind: PileKind | None = None, widest: float = 0.4) -> Pile:
     """Draw and settle a pile of the given kind (None: of any) that is at most about `widest` [m] across.
 
     Every member is carried and none lies deeper than a millimetre in another. Raises `PlacementError` where too
@@ -163,13 +161,13 @@ def _suitable(
     return found
 
 
-def _pick(rng: np.random.Generator, found: Sequence[tuple[AssetInfo, Mesh]], what: str) -> tuple[AssetInfo, Mesh]:
+def _pick(rng: Rng, found: Sequence[tuple[AssetInfo, Mesh]], what: str) -> tuple[AssetInfo, Mesh]:
     if not found:
         raise PlacementError(f"no {what} installed for a pile; run `multilight assets fetch`")
     return pick(rng, found)
 
 
-def _fruit_bowl(rng: np.random.Generator, library: AssetLibrary, widest: float) -> Pile:
+def _fruit_bowl(rng: Rng, library: AssetLibrary, widest: float) -> Pile:
     """Fill a bowl with fruit up to a little over its rim."""
     bowls = [b for b in _suitable(library, frozenset({"bowl"}), (0.15, widest)) if _is_hollow(b[1])]
     info, mesh = _pick(rng, bowls, "bowl")
@@ -209,7 +207,7 @@ def _is_hollow(mesh: Mesh) -> bool:
     return bool(face >= 0 and solid.triangles[face, :, 2].max() < 0.5 * height)
 
 
-def _heap(rng: np.random.Generator, library: AssetLibrary, widest: float) -> Pile:
+def _heap(rng: Rng, library: AssetLibrary, widest: float) -> Pile:
     """Pour small toys on one spot."""
     toys = _suitable(library, _TOYS, (0.025, 0.11))
     chosen = [_pick(rng, toys, "toys") for _ in range(int(rng.integers(8, 14)))]
@@ -218,7 +216,7 @@ def _heap(rng: np.random.Generator, library: AssetLibrary, widest: float) -> Pil
     return _centred(_pile("toys", chosen, settled))
 
 
-def _books(rng: np.random.Generator, library: AssetLibrary, widest: float) -> Pile:
+def _books(rng: Rng, library: AssetLibrary, widest: float) -> Pile:
     """Lay books on each other, the largest lowest, roughly in line."""
     found = _suitable(library, frozenset({"book"}), (0.1, widest))
     chosen = [_pick(rng, found, "books") for _ in range(int(rng.integers(3, 7)))]
@@ -229,7 +227,7 @@ def _books(rng: np.random.Generator, library: AssetLibrary, widest: float) -> Pi
     return _pile("books", chosen, stack(solids, poses, [_plane()]))
 
 
-def _crockery(rng: np.random.Generator, library: AssetLibrary, kind: PileKind, widest: float) -> Pile:
+def _crockery(rng: Rng, library: AssetLibrary, kind: PileKind, widest: float) -> Pile:
     """Put one sort of plate, bowl or cup into itself."""
     found = _suitable(library, _NESTED[kind], (0.06, widest))
     found = [item for item in found if kind == "plates" or _is_hollow(item[1])]
@@ -249,7 +247,7 @@ def _crockery(rng: np.random.Generator, library: AssetLibrary, kind: PileKind, w
     raise PlacementError(f"no {kind} installed that go into one another; run `multilight assets fetch`")
 
 
-def _rotated(rng: np.random.Generator, *, spread: float, shift: float) -> Float64:
+def _rotated(rng: Rng, *, spread: float, shift: float) -> Float64:
     """Draw a pose (4, 4): rotated by about `spread` [rad], every second one by half a circle more, and shifted [m]."""
     angle = rng.normal(0.0, spread) + (np.pi if rng.random() < 0.5 else 0.0)
     return pose_at(rng.normal(0.0, shift, 2), 0.0, angle)

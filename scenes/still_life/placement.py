@@ -15,6 +15,7 @@ from multilight.scenes.geometry.solids import Solid
 from multilight.scenes.geometry.support_surfaces import SupportSurface, convex_polygon, stacked_faces, stands
 from multilight.scenes.meshes import Mesh
 from multilight.scenes.poses import about_z, pose_of
+from multilight.scenes.streams import Rng
 
 CONTACT = 6e-4
 """Vertices this close [m] to the lowest one carry the object: less than what counts as contact (`geometry.contact`)."""
@@ -141,7 +142,7 @@ def _standing(info: AssetInfo, mesh: Mesh, hull: Trimesh, centre: Float64, rotat
     return Standing(info, mesh, posed, rotation, -lowest, footprint)
 
 
-def arrange(rng: np.random.Generator, objects: Sequence[Standing], stage: Stage) -> Arrangement:
+def arrange(rng: Rng, objects: Sequence[Standing], stage: Stage) -> Arrangement:
     """Group objects closely about the focus, in the order given.
 
     Every object stands wholly on the surface, at least `GAP` from all others, most 1 to 12 cm from a neighbour.
@@ -170,14 +171,14 @@ def arrange(rng: np.random.Generator, objects: Sequence[Standing], stage: Stage)
     return group
 
 
-def _facing(rng: np.random.Generator, front: Float64) -> float:
+def _facing(rng: Rng, front: Float64) -> float:
     """Draw a yaw [rad]: most have their front (-Y, as assets come) roughly to the cameras."""
     if rng.random() < AVERTED:
         return float(rng.uniform(0.0, 2 * np.pi))
     return float(np.arctan2(front[1], front[0]) + np.pi / 2 + rng.normal(0.0, SLACK))
 
 
-def _spot(rng: np.random.Generator, footprints: list[Float64], footprint: Float64, focus: Float64) -> Float64:
+def _spot(rng: Rng, footprints: list[Float64], footprint: Float64, focus: Float64) -> Float64:
     """Draw a place close beside one of the objects that stand already (the first: near the focus)."""
     if not footprints:
         return focus + rng.normal(0.0, 0.02, 2)
@@ -192,7 +193,7 @@ def _spot(rng: np.random.Generator, footprints: list[Float64], footprint: Float6
     return away * reach + across * slide
 
 
-def _cost(rng: np.random.Generator, item: Standing, spot: Float64, stage: Stage) -> float:
+def _cost(rng: Rng, item: Standing, spot: Float64, stage: Stage) -> float:
     """Rate a place: near the focus, tall things behind, low ones in front, with some chance."""
     offset = spot - stage.focus
     forward = float(offset @ stage.front)

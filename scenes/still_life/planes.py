@@ -5,6 +5,7 @@ import numpy as np
 from multilight.scenes.arrays import Float64
 from multilight.scenes.poses import matrix4, pose_of
 from multilight.scenes.spec import Body, Material, Rectangle
+from multilight.scenes.streams import Rng
 
 Pair = tuple[float, float]
 
@@ -21,7 +22,7 @@ def plane(name: str, size: Pair, material: Material, pose: Float64) -> Body:
     )
 
 
-def level_pose(rng: np.random.Generator) -> Float64:
+def level_pose(rng: Rng) -> Float64:
     """Return the identity (4, 4), or a quarter of a rotation about +Z: boards and slabs run along either axis."""
     pose = np.eye(4)
     if rng.random() < 0.5:

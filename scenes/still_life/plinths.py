@@ -10,7 +10,7 @@ from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.materials import metres_per_uv, pick_texture, sample_material, textured
 from multilight.scenes.spec import Material
 from multilight.scenes.still_life.placement import Standing, resting_poses
-from multilight.scenes.streams import pick, weighted_pick
+from multilight.scenes.streams import Rng, pick, weighted_pick
 
 EDGE = 0.008
 """Smallest distance [m] of an object's footprint to the plinth's edge."""
@@ -28,7 +28,7 @@ class Raised:
     standing: Standing
     plinth: AssetInfo | None = None
 
-    def material(self, rng: np.random.Generator, library: AssetLibrary) -> Material:
+    def material(self, rng: Rng, library: AssetLibrary) -> Material:
         """Draw what the plinth is made of."""
         assert self.plinth is not None
         finish = weighted_pick(rng, _FINISHES)
@@ -39,7 +39,7 @@ class Raised:
         return sample_material(rng, finish)
 
 
-def raise_some(rng: np.random.Generator, library: AssetLibrary, items: list[Standing], fraction: float) -> list[Raised]:
+def raise_some(rng: Rng, library: AssetLibrary, items: list[Standing], fraction: float) -> list[Raised]:
     """Put a fraction of the objects that plinths can carry on plinths."""
     if fraction == 0:
         return [Raised(item) for item in items]

@@ -27,7 +27,7 @@ from multilight.scenes.still_life.placement import arrange
 from multilight.scenes.still_life.plinths import Raised, raise_some
 from multilight.scenes.still_life.selection import Choice, Wanted, choose_objects
 from multilight.scenes.still_life.setting import Setting, make_body
-from multilight.scenes.streams import Streams
+from multilight.scenes.streams import Rng, Streams
 
 if TYPE_CHECKING:
     from multilight.scenes.still_life.piles import Pile
@@ -57,7 +57,7 @@ class StillLifeSettings(SceneSettings):
         return self
 
 
-Chooser = Callable[[np.random.Generator, AssetLibrary, Wanted, Setting], Choice]
+Chooser = Callable[[Rng, AssetLibrary, Wanted, Setting], Choice]
 
 
 def sample_still_life(
@@ -135,14 +135,14 @@ def _arranged(
     return bodies, _subject(streams(f"probes/{attempt}"), library, setting, bodies, group.solids)
 
 
-def _pile(rng: np.random.Generator, library: AssetLibrary) -> "Pile":
+def _pile(rng: Rng, library: AssetLibrary) -> "Pile":
     from multilight.scenes.still_life.piles import sample_pile  # brings the physics, which few scenes need
 
     return sample_pile(rng, library)
 
 
 def _plinths(
-    rng: np.random.Generator, library: AssetLibrary, items: list[Raised], poses: dict[int, Float64], height: float
+    rng: Rng, library: AssetLibrary, items: list[Raised], poses: dict[int, Float64], height: float
 ) -> list[Body]:
     """Put the plinths where their objects came to stand."""
     bodies: list[Body] = []
@@ -156,9 +156,7 @@ def _plinths(
     return bodies
 
 
-def _subject(
-    rng: np.random.Generator, library: AssetLibrary, setting: Setting, added: list[Body], solids: CollisionManager
-) -> Subject:
+def _subject(rng: Rng, library: AssetLibrary, setting: Setting, added: list[Body], solids: CollisionManager) -> Subject:
     """Collect what the trajectory must show and avoid."""
     bodies = [*setting.bodies, *added]
     points = {i: surface_points(b, library, rng, 64) for i, b in enumerate(bodies) if b.role == "object"}

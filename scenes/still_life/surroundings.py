@@ -17,6 +17,7 @@ from multilight.scenes.materials import painted_wall, pick_texture, textured
 from multilight.scenes.spec import Body, Material
 from multilight.scenes.still_life.planes import level_pose, plane, skirting, upright_pose
 from multilight.scenes.still_life.setting import make_body
+from multilight.scenes.streams import Rng
 
 SurroundingKind = Literal["ground", "corner", "backdrop"]
 PROBABILITIES: dict[SurroundingKind, float] = {"ground": 0.2, "corner": 0.5, "backdrop": 0.3}
@@ -53,9 +54,7 @@ class Surrounding:
     opening: float
 
 
-def sample_surrounding(
-    rng: np.random.Generator, library: AssetLibrary, *, kind: SurroundingKind, table: Float64
-) -> Surrounding:
+def sample_surrounding(rng: Rng, library: AssetLibrary, *, kind: SurroundingKind, table: Float64) -> Surrounding:
     """Build a surrounding about a table whose lowest and highest corner are `table` (2, 3) [m]."""
     match kind:
         case "ground":
@@ -67,7 +66,7 @@ def sample_surrounding(
             return _backdrop(rng, library, table)
 
 
-def _floor(rng: np.random.Generator, library: AssetLibrary, place: str, *, size: float) -> Body:
+def _floor(rng: Rng, library: AssetLibrary, place: str, *, size: float) -> Body:
     """Make a square floor at z = 0 of a library texture (plain concrete grey where there is none)."""
     info = pick_texture(rng, library, _FLOORS[place], laid=True)
     if info is None:
@@ -77,13 +76,13 @@ def _floor(rng: np.random.Generator, library: AssetLibrary, place: str, *, size:
     return plane("floor", (size, size), material, level_pose(rng))
 
 
-def _wall_material(rng: np.random.Generator, library: AssetLibrary) -> Material:
+def _wall_material(rng: Rng, library: AssetLibrary) -> Material:
     """Draw paint or a wall texture."""
     info = pick_texture(rng, library, _WALLS, laid=True) if rng.random() < TEXTURED_WALL else None
     return painted_wall(rng) if info is None else textured(rng, info, "wall")
 
 
-def _corner(rng: np.random.Generator, library: AssetLibrary, table: Float64) -> Surrounding:
+def _corner(rng: Rng, library: AssetLibrary, table: Float64) -> Surrounding:
     """Build a floor and two or three walls with skirting boards; the front, the top and maybe a side are open."""
     height = rng.uniform(*HEIGHT)
     back = float(table[1, 1]) + BEHIND + BEHIND_MORE * rng.beta(1.0, 2.0)
@@ -109,13 +108,13 @@ def _corner(rng: np.random.Generator, library: AssetLibrary, table: Float64) -> 
     return Surrounding(tuple(bodies), front=float(front), opening=BEFORE_THREE if three else BEFORE_TWO_WALLS)
 
 
-def _skirting_material(rng: np.random.Generator) -> Material:
+def _skirting_material(rng: Rng) -> Material:
     """Draw the paint or stain of skirting boards."""
     colour = linear_from_hex(str(rng.choice(_SKIRTINGS)))
     return Material(name="skirting", base_color=colour, roughness=float(rng.uniform(0.25, 0.5)))
 
 
-def _backdrop(rng: np.random.Generator, library: AssetLibrary, table: Float64) -> Surrounding:
+def _backdrop(rng: Rng, library: AssetLibrary, table: Float64) -> Surrounding:
     """Hang a seamless paper behind and below the table, on a studio floor."""
     colour = linear_from_hex(str(rng.choice(_PAPERS)))
     scale = float(rng.uniform(*SWEEP_SCALE))

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from multilight.scenes.assets.builtin.parts import PAINTS, Part, Rng, paint, patterned
+from multilight.scenes.assets.builtin.parts import PAINTS, Part, paint, patterned
 from multilight.scenes.assets.builtin.primitives import (
     Surface,
     lathe,
@@ -17,7 +17,7 @@ from multilight.scenes.assets.builtin.primitives import (
 )
 from multilight.scenes.assets.builtin.tableware import beaker, vessel
 from multilight.scenes.spec import Material, Rgb
-from multilight.scenes.streams import pick
+from multilight.scenes.streams import Rng, pick
 
 _SOIL = Material(name="soil", base_color=(0.06, 0.04, 0.028), roughness=0.95)
 _CLAYS: tuple[Rgb, ...] = ((0.50, 0.20, 0.10), (0.42, 0.24, 0.15), (0.55, 0.50, 0.44), (0.10, 0.10, 0.11))

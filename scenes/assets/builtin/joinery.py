@@ -6,10 +6,10 @@ They face -Y and reach into the wall: their plane of y = 0 is the wall's inner f
 
 import numpy as np
 
-from multilight.scenes.assets.builtin.parts import METALS, Part, Rng, tiled
+from multilight.scenes.assets.builtin.parts import METALS, Part, tiled
 from multilight.scenes.assets.builtin.primitives import Surface, bar, bar_pair, cylinder, merge, rotation, tube
 from multilight.scenes.spec import Material, Rgb
-from multilight.scenes.streams import pick
+from multilight.scenes.streams import Rng, pick
 
 CASING = 0.07
 """Width [m] of the boards round an opening; a window's sill reaches `EAR` to each side instead."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from multilight.scenes.assets.builtin.parts import CLEAR_TINTS, METALS, Part, Rng, ceramic, metal, patterned
+from multilight.scenes.assets.builtin.parts import CLEAR_TINTS, METALS, Part, ceramic, metal, patterned
 from multilight.scenes.assets.builtin.primitives import (
     circle,
     cylinder,
@@ -17,7 +17,7 @@ from multilight.scenes.assets.builtin.primitives import (
 )
 from multilight.scenes.assets.builtin.tableware import beaker
 from multilight.scenes.spec import Material, Rgb
-from multilight.scenes.streams import pick
+from multilight.scenes.streams import Rng, pick
 
 GLOW = Material(name="glow", base_color=(0.92, 0.90, 0.86), roughness=0.4)
 _PLASTICS: tuple[Rgb, ...] = ((0.8, 0.79, 0.76), (0.03, 0.03, 0.035), (0.35, 0.36, 0.38), (0.55, 0.16, 0.12))

@@ -25,14 +25,14 @@ from multilight.scenes.assets.builtin import (
     tableware,
     toys,
 )
-from multilight.scenes.assets.builtin.parts import Part, Rng, to_mesh
+from multilight.scenes.assets.builtin.parts import Part, to_mesh
 from multilight.scenes.assets.builtin.textures import gobos, screens, surfaces
 from multilight.scenes.assets.cache import is_sound, kept, sources_key, write_json, write_once
 from multilight.scenes.assets.environments import bpy_environment_path, bpy_environments
 from multilight.scenes.assets.info import AssetError, AssetInfo, AssetRole
 from multilight.scenes.assets.packs.pack import Pack
 from multilight.scenes.meshes import Mesh
-from multilight.scenes.streams import generator_of
+from multilight.scenes.streams import Rng, generator_of
 
 Recipe = Callable[[Rng], list[Part]]
 

@@ -6,9 +6,8 @@ from multilight.scenes.assets.builtin.primitives import Surface
 from multilight.scenes.assets.derived_maps import MEAN_ROUGHNESS
 from multilight.scenes.meshes import Mesh, MeshPart
 from multilight.scenes.spec import Material, Rgb, Texture
-from multilight.scenes.streams import pick
+from multilight.scenes.streams import Rng, pick
 
-Rng = np.random.Generator
 Part = tuple[Surface, Material]
 
 GLAZES: tuple[Rgb, ...] = (

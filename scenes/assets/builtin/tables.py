@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from multilight.scenes.assets.builtin.parts import Part, Rng, metal, paint, patterned
+from multilight.scenes.assets.builtin.parts import Part, metal, paint, patterned
 from multilight.scenes.assets.builtin.primitives import (
     Surface,
     cylinder,
@@ -14,7 +14,7 @@ from multilight.scenes.assets.builtin.primitives import (
     tube,
 )
 from multilight.scenes.spec import Material
-from multilight.scenes.streams import pick
+from multilight.scenes.streams import Rng, pick
 
 TOPS = (
     ("wood-oak", 0.8, 0.45, 0.25),

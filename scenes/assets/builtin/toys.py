@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from multilight.scenes.assets.builtin.parts import PAINTS, PAPER, Part, Rng, ceramic, metal, paint, patterned, tiled
+from multilight.scenes.assets.builtin.parts import PAINTS, PAPER, Part, ceramic, metal, paint, patterned, tiled
 from multilight.scenes.assets.builtin.primitives import (
     circle,
     lathe,
@@ -14,7 +14,7 @@ from multilight.scenes.assets.builtin.primitives import (
     torus,
 )
 from multilight.scenes.spec import Material
-from multilight.scenes.streams import pick
+from multilight.scenes.streams import Rng, pick
 
 
 def book(rng: Rng) -> list[Part]:

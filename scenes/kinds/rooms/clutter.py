@@ -16,7 +16,7 @@ from multilight.scenes.materials import body_materials
 from multilight.scenes.poses import about_z, apply_pose, pose_at
 from multilight.scenes.still_life.placement import PlacementError
 from multilight.scenes.still_life.selection import draw_by_category
-from multilight.scenes.streams import pick
+from multilight.scenes.streams import Rng, pick
 
 # Measures of what lies about [m, m²], and how often [probability].
 EDGE = 0.008  # smallest distance of a footprint to the edge of its surface
@@ -90,12 +90,12 @@ class Objects:
                     found.append(Spot(placed, shelf, apply_pose(placed.pose, local)))
         return found
 
-    def draw(self, rng: np.random.Generator, infos: Sequence[AssetInfo]) -> AssetInfo | None:
+    def draw(self, rng: Rng, infos: Sequence[AssetInfo]) -> AssetInfo | None:
         """Draw a category, then one of its assets that is not in the room yet; None where there is none."""
         fresh = [info for info in infos if info.id not in self.used]
         return draw_by_category(rng, fresh) if fresh else None
 
-    def put(self, rng: np.random.Generator, info: AssetInfo, spot: Spot, *, glows: bool = False) -> str | None:
+    def put(self, rng: Rng, info: AssetInfo, spot: Spot, *, glows: bool = False) -> str | None:
         """Stand an object somewhere on a surface, most with their front to the room; None where it does not fit."""
         piece = self.plan.piece(info)
         footing = None if piece is None else footing_of(piece.mesh)
@@ -114,7 +114,7 @@ class Objects:
                 return name
         return None
 
-    def put_on_floor(self, rng: np.random.Generator, info: AssetInfo, near: Float64, reach: float) -> str | None:
+    def put_on_floor(self, rng: Rng, info: AssetInfo, near: Float64, reach: float) -> str | None:
         """Stand an object on the floor, or wholly on a rug, within `reach` [m] of a point (2,)."""
         piece = self.plan.piece(info)
         footing = None if piece is None else footing_of(piece.mesh)
@@ -140,13 +140,7 @@ class Objects:
         return self.plan.placed[name].piece.info.category == "rug"
 
     def _add(
-        self,
-        rng: np.random.Generator,
-        info: AssetInfo,
-        pose: Float64,
-        *,
-        apart_from: Sequence[str],
-        glows: bool = False,
+        self, rng: Rng, info: AssetInfo, pose: Float64, *, apart_from: Sequence[str], glows: bool = False
     ) -> str | None:
         piece = self.plan.piece(info)
         if piece is None or not self.plan.is_free(*self.plan.box(piece, pose), apart_from=apart_from, zones=False):
@@ -163,7 +157,7 @@ def _infos(plan: Plan, categories: Sequence[str] | frozenset[str], sides: tuple[
     return [i for i in infos if i.category in categories and i.size and sides[0] <= max(i.size) <= sides[1]]
 
 
-def insert(rng: np.random.Generator, objects: Objects, kind: RoomType, count: int, glows: bool) -> list[str]:
+def insert(rng: Rng, objects: Objects, kind: RoomType, count: int, glows: bool) -> list[str]:
     """Place the objects whose removal is rendered: on one surface, on the floor beside it, and on surfaces near.
 
     Returns their names. Raises `PlacementError` where the furniture leaves no room for them.
@@ -197,7 +191,7 @@ def _insertable(plan: Plan, kind: RoomType) -> tuple[list[AssetInfo], list[Asset
     return [i for i in small if i.size and sorted(i.size)[1] >= THIN], _infos(plan, _ON_FLOOR, FLOOR_INSERTED), lamps
 
 
-def _stage(rng: np.random.Generator, objects: Objects, kind: RoomType) -> tuple[Spot, list[Spot]]:
+def _stage(rng: Rng, objects: Objects, kind: RoomType) -> tuple[Spot, list[Spot]]:
     """Draw the surface that objects are inserted on, large ones more often, and list those near it."""
     spots = [s for s in objects.spots() if SURFACES[0] <= s.centre[2] <= SURFACES[1] and s.shelf.headroom > OPEN]
     wide = [s for s in spots if s.area > FOCUS[0] and s.owner.piece.info.category != "radiator"]
@@ -209,7 +203,7 @@ def _stage(rng: np.random.Generator, objects: Objects, kind: RoomType) -> tuple[
     return focus, near
 
 
-def litter(rng: np.random.Generator, objects: Objects, kind: RoomType) -> None:
+def litter(rng: Rng, objects: Objects, kind: RoomType) -> None:
     """Put books on shelves and something on every surface that has room."""
     plan = objects.plan
     spots = objects.spots()
@@ -230,7 +224,7 @@ def litter(rng: np.random.Generator, objects: Objects, kind: RoomType) -> None:
             objects.put_on_floor(rng, info, rng.uniform(-0.4, 0.4, 2) * half, half)
 
 
-def _strew(rng: np.random.Generator, objects: Objects, spot: Spot, pool: list[AssetInfo], most: int) -> int:
+def _strew(rng: Rng, objects: Objects, spot: Spot, pool: list[AssetInfo], most: int) -> int:
     """Put objects that fit on a surface, `most` at most; return how many found a place."""
     side, height = 0.9 * np.sqrt(spot.area), spot.shelf.headroom - HEADROOM
     fitting = [info for info in pool if info.size and max(info.size[:2]) < side and info.size[2] < height]

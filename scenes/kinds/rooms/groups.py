@@ -8,6 +8,7 @@ from multilight.scenes.kinds.rooms.finish import furniture_materials
 from multilight.scenes.kinds.rooms.plan import HUNG, PlacedPiece, Plan
 from multilight.scenes.kinds.rooms.shell import Wall
 from multilight.scenes.poses import pose_at
+from multilight.scenes.streams import Rng
 
 TABLES = ("table", "round", "rectangular", "trestle", "bistro")
 """Categories of tables to dine at."""
@@ -24,7 +25,7 @@ FIRE, TV, WALL_TV = 0.2, 0.55, 0.7  # a fireplace instead of a screen; a screen 
 NO_RUG = 0.15  # under a coffee table
 
 
-def place_openings(rng: np.random.Generator, plan: Plan) -> None:
+def place_openings(rng: Rng, plan: Plan) -> None:
     """Put windows and doors into their holes."""
     for opening in plan.shell.openings:
         piece = plan.piece(opening.info)
@@ -40,7 +41,7 @@ def place_openings(rng: np.random.Generator, plan: Plan) -> None:
         plan.put(piece, pose, materials, role="surrounding")
 
 
-def curtains(rng: np.random.Generator, plan: Plan, *, probability: float) -> None:
+def curtains(rng: Rng, plan: Plan, *, probability: float) -> None:
     """Hang curtains before windows where there is room; all alike, or none."""
     if rng.random() >= probability or plan.shell.height < CURTAIN_HEIGHT + 0.02:
         return
@@ -60,7 +61,7 @@ def curtains(rng: np.random.Generator, plan: Plan, *, probability: float) -> Non
                 plan.put(piece, pose, materials, role="surrounding")
 
 
-def ceiling_light(rng: np.random.Generator, plan: Plan) -> None:
+def ceiling_light(rng: Rng, plan: Plan) -> None:
     """Hang a lamp at the centre of the ceiling: a pendant where it hangs high enough or over a table."""
     if any(placed.piece.info.category == "pendant" for placed in plan.placed.values()):
         return
@@ -71,7 +72,7 @@ def ceiling_light(rng: np.random.Generator, plan: Plan) -> None:
         plan.hang(rng, piece, rng.uniform(-0.3, 0.3, 2))
 
 
-def along_walls(rng: np.random.Generator, plan: Plan, *categories: str, probability: float) -> PlacedPiece | None:
+def along_walls(rng: Rng, plan: Plan, *categories: str, probability: float) -> PlacedPiece | None:
     """Stand one piece with its back to some wall, a free walkway before it, in some of the rooms."""
     if rng.random() >= probability:
         return None
@@ -99,7 +100,7 @@ def keep_walkway(plan: Plan, placed: PlacedPiece, wall: Wall) -> None:
     plan.keep_free(np.minimum(low, high), np.maximum(low, high))
 
 
-def in_corners(rng: np.random.Generator, plan: Plan, *categories: str, count: int) -> None:
+def in_corners(rng: Rng, plan: Plan, *categories: str, count: int) -> None:
     """Stand pieces near corners, their front towards the centre of the room."""
     for _ in range(count):
         piece = plan.choose(rng, *categories, largest=(1.1, 1.1, plan.shell.height - 0.3))
@@ -116,7 +117,7 @@ def in_corners(rng: np.random.Generator, plan: Plan, *categories: str, count: in
                 break
 
 
-def on_walls(rng: np.random.Generator, plan: Plan, *, shelves: int, pictures: int) -> None:
+def on_walls(rng: Rng, plan: Plan, *, shelves: int, pictures: int) -> None:
     """Hang shelves, pictures, sometimes a mirror or a clock, at eye level or above what stands there."""
     wanted = ["shelf"] * shelves + ["picture"] * pictures
     wanted += ["mirror"] * int(rng.random() < MIRROR) + ["wall_clock"] * int(rng.random() < CLOCK)
@@ -134,7 +135,7 @@ def on_walls(rng: np.random.Generator, plan: Plan, *, shelves: int, pictures: in
                 break
 
 
-def seating(rng: np.random.Generator, plan: Plan) -> None:
+def seating(rng: Rng, plan: Plan) -> None:
     """A screen or fire at one wall, a sofa that faces it, a coffee table between them, armchairs beside."""
     for _ in range(4):
         for wall in plan.walls_by_room(rng):
@@ -144,7 +145,7 @@ def seating(rng: np.random.Generator, plan: Plan) -> None:
             plan.back_to(mark)
 
 
-def _seated(rng: np.random.Generator, plan: Plan, wall: Wall, *, along: float) -> bool:
+def _seated(rng: Rng, plan: Plan, wall: Wall, *, along: float) -> bool:
     """Try to set up the seating group before a wall; tell whether there is a sofa or, without any, a table."""
     media = _media(rng, plan, wall, along)
     sofa = plan.choose(rng, "sofa", largest=(min(2.4, wall.length - 1.2), 1.2, 1.3))
@@ -172,7 +173,7 @@ def _seated(rng: np.random.Generator, plan: Plan, wall: Wall, *, along: float) -
     return True
 
 
-def _sofa_out(rng: np.random.Generator, plan: Plan, wall: Wall, media: PlacedPiece | None, deep: float) -> float:
+def _sofa_out(rng: Rng, plan: Plan, wall: Wall, media: PlacedPiece | None, deep: float) -> float:
     """Draw how far from a wall [m] a sofa's centre stands that looks at it and is so `deep` [m]."""
     across = plan.shell.depth if abs(wall.inward[1]) > 0.5 else plan.shell.width
     depth = 0.0 if media is None else float(media.piece.size[1])
@@ -182,7 +183,7 @@ def _sofa_out(rng: np.random.Generator, plan: Plan, wall: Wall, media: PlacedPie
     return across - 0.04 - deep / 2
 
 
-def _armchair(rng: np.random.Generator, plan: Plan, wall: Wall, along: float, out: float, *, side: float) -> None:
+def _armchair(rng: Rng, plan: Plan, wall: Wall, along: float, out: float, *, side: float) -> None:
     """Stand an armchair beside the coffee table, its front towards it."""
     chair = plan.choose(rng, "armchair", largest=(1.1, 1.1, 1.2))
     if chair is None:
@@ -194,7 +195,7 @@ def _armchair(rng: np.random.Generator, plan: Plan, wall: Wall, along: float, ou
             return
 
 
-def _media(rng: np.random.Generator, plan: Plan, wall: Wall, along: float) -> PlacedPiece | None:
+def _media(rng: Rng, plan: Plan, wall: Wall, along: float) -> PlacedPiece | None:
     """Stand a fireplace, or a low board for a television, at a wall."""
     fire = plan.choose(rng, "fireplace") if rng.random() < FIRE else None
     if fire is not None:
@@ -213,14 +214,7 @@ def _media(rng: np.random.Generator, plan: Plan, wall: Wall, along: float) -> Pl
 
 
 def _rug(
-    rng: np.random.Generator,
-    plan: Plan,
-    wall: Wall,
-    along: float,
-    out: float,
-    *,
-    table_size: tuple[float, float],
-    room: float,
+    rng: Rng, plan: Plan, wall: Wall, along: float, out: float, *, table_size: tuple[float, float], room: float
 ) -> PlacedPiece | None:
     """Lay a rug that a table stands on wholly, and that leaves the sofa's feet on the floor."""
     for _ in range(4):
@@ -235,9 +229,7 @@ def _rug(
     return None
 
 
-def _beside_sofa(
-    rng: np.random.Generator, plan: Plan, wall: Wall, along: float, out: float, *, sofa_wide: float
-) -> None:
+def _beside_sofa(rng: Rng, plan: Plan, wall: Wall, along: float, out: float, *, sofa_wide: float) -> None:
     """Stand a small table with a lamp, or a floor lamp, beside the sofa."""
     side = float(rng.choice([-1.0, 1.0]))
     lamp = plan.choose(rng, "floorlamp", "floor_lamp") if rng.random() < 0.5 else None
@@ -253,7 +245,7 @@ def _beside_sofa(
             lamp_on(rng, plan, stand)
 
 
-def lamp_on(rng: np.random.Generator, plan: Plan, stand: PlacedPiece) -> PlacedPiece | None:
+def lamp_on(rng: Rng, plan: Plan, stand: PlacedPiece) -> PlacedPiece | None:
     """Stand a lamp on the centre of a small piece of furniture with a flat top."""
     wide = float(min(stand.piece.size[:2]))
     lamp = plan.choose(rng, "tablelamp", "big_table_lamp", largest=(wide + 0.05, wide + 0.05, 0.75))

@@ -3,10 +3,9 @@
 from collections.abc import Callable
 from typing import Literal
 
-import numpy as np
-
 from multilight.scenes.kinds.rooms import groups, workplaces
 from multilight.scenes.kinds.rooms.plan import Plan
+from multilight.scenes.streams import Rng
 
 RoomType = Literal["living", "kitchen", "bedroom", "study"]
 Span = tuple[tuple[float, float], tuple[float, float]]
@@ -20,7 +19,7 @@ SPANS: dict[RoomType, Span] = {
 """Least and greatest length [m] of the longer and of the shorter side."""
 
 
-def _living(rng: np.random.Generator, plan: Plan) -> None:
+def _living(rng: Rng, plan: Plan) -> None:
     """A seating group that faces a screen or a fire; shelves, a sideboard and plants along the walls."""
     groups.seating(rng, plan)
     groups.ceiling_light(rng, plan)
@@ -35,7 +34,7 @@ def _living(rng: np.random.Generator, plan: Plan) -> None:
     groups.on_walls(rng, plan, shelves=int(rng.integers(0, 3)), pictures=int(rng.integers(3, 8)))
 
 
-def _kitchen(rng: np.random.Generator, plan: Plan) -> None:
+def _kitchen(rng: Rng, plan: Plan) -> None:
     """A row of units along a wall, and a dining table with chairs under a pendant."""
     workplaces.kitchen_row(rng, plan)
     workplaces.dining(rng, plan)
@@ -49,7 +48,7 @@ def _kitchen(rng: np.random.Generator, plan: Plan) -> None:
     groups.on_walls(rng, plan, shelves=int(rng.integers(1, 3)), pictures=int(rng.integers(2, 5)))
 
 
-def _bedroom(rng: np.random.Generator, plan: Plan) -> None:
+def _bedroom(rng: Rng, plan: Plan) -> None:
     """A bed between nightstands, a wardrobe, a chest, something to sit on."""
     workplaces.bed(rng, plan)
     groups.ceiling_light(rng, plan)
@@ -65,7 +64,7 @@ def _bedroom(rng: np.random.Generator, plan: Plan) -> None:
     groups.on_walls(rng, plan, shelves=int(rng.integers(0, 3)), pictures=int(rng.integers(3, 7)))
 
 
-def _study(rng: np.random.Generator, plan: Plan) -> None:
+def _study(rng: Rng, plan: Plan) -> None:
     """A desk with its chair, bookcases, an armchair to read in."""
     workplaces.desk(rng, plan, probability=1.0)
     groups.ceiling_light(rng, plan)
@@ -80,7 +79,7 @@ def _study(rng: np.random.Generator, plan: Plan) -> None:
     groups.on_walls(rng, plan, shelves=int(rng.integers(1, 4)), pictures=int(rng.integers(3, 7)))
 
 
-FURNISH: dict[RoomType, Callable[[np.random.Generator, Plan], None]] = {
+FURNISH: dict[RoomType, Callable[[Rng, Plan], None]] = {
     "living": _living,
     "kitchen": _kitchen,
     "bedroom": _bedroom,

@@ -23,6 +23,7 @@ from multilight.scenes.names import free_name
 from multilight.scenes.poses import apply_pose, pose_at
 from multilight.scenes.spec import Body, Material, Role
 from multilight.scenes.still_life.setting import make_body
+from multilight.scenes.streams import Rng
 
 GAP = 0.006
 """Smallest distance [m] between the boxes of two bodies."""
@@ -99,9 +100,7 @@ class Plan:
                 self._pieces[info.id] = None
         return self._pieces[info.id]
 
-    def choose(
-        self, rng: np.random.Generator, *categories: str, largest: tuple[float, float, float] = (9.0, 9.0, 9.0)
-    ) -> Piece | None:
+    def choose(self, rng: Rng, *categories: str, largest: tuple[float, float, float] = (9.0, 9.0, 9.0)) -> Piece | None:
         """Draw a model of the categories that is at most so large (x, y, z) [m]; None where there is none.
 
         What does not hang must stand as it comes, and what hangs must hang.
@@ -173,7 +172,7 @@ class Plan:
 
     def add(
         self,
-        rng: np.random.Generator,
+        rng: Rng,
         piece: Piece,
         pose: Float64,
         *,
@@ -191,7 +190,7 @@ class Plan:
 
     def stand(
         self,
-        rng: np.random.Generator,
+        rng: Rng,
         piece: Piece,
         place: Float64,
         angle: float,
@@ -204,11 +203,11 @@ class Plan:
         """Stand a piece at (x, y), `base` [m] above the floor, its yaw `angle` [rad]; None where it is not free."""
         return self.add(rng, piece, pose_at(place, base + LIFT, angle), role=role, apart_from=apart_from, lit=lit)
 
-    def hang(self, rng: np.random.Generator, piece: Piece, place: Float64) -> None:
+    def hang(self, rng: Rng, piece: Piece, place: Float64) -> None:
         """Hang a lamp that is lit under the ceiling, at (x, y), where that is free."""
         self.add(rng, piece, pose_at(place, self.shell.height - HUNG - float(piece.size[2]), 0.0), lit=True)
 
-    def tuck(self, rng: np.random.Generator, chair: Piece, table: PlacedPiece, poses: Iterable[Float64]) -> None:
+    def tuck(self, rng: Rng, chair: Piece, table: PlacedPiece, poses: Iterable[Float64]) -> None:
         """Stand a chair at a table: in the first of some poses in which it is clear of the table and of all else."""
         for pose in poses:
             free = self.is_free(*self.box(chair, pose), apart_from=(table.name,))
@@ -228,7 +227,7 @@ class Plan:
 
     def against_wall(
         self,
-        rng: np.random.Generator,
+        rng: Rng,
         piece: Piece,
         wall: Wall,
         *,
@@ -266,7 +265,7 @@ class Plan:
         return not probe.in_collision_other(solid)
 
     def on_top(
-        self, rng: np.random.Generator, piece: Piece, stand: PlacedPiece, *, angle: float, lit: bool = False
+        self, rng: Rng, piece: Piece, stand: PlacedPiece, *, angle: float, lit: bool = False
     ) -> PlacedPiece | None:
         """Stand a piece on the highest surface of another, where its foot has most room; None where it has none."""
         shelves = shelves_of(stand.piece.mesh)
@@ -282,7 +281,7 @@ class Plan:
             return None
         return self.add(rng, piece, stand.pose @ upon, apart_from=(stand.name,), lit=lit)
 
-    def walls_by_room(self, rng: np.random.Generator) -> list[Wall]:
+    def walls_by_room(self, rng: Rng) -> list[Wall]:
         """Return the walls, those without openings first, otherwise in a random order."""
         order = [self.shell.walls[int(i)] for i in rng.permutation(4)]
         return sorted(order, key=lambda wall: not self.shell.free(wall))

@@ -16,7 +16,7 @@ from multilight.scenes.kinds.rooms.views import Room, sample_views
 from multilight.scenes.poses import rotated_scene
 from multilight.scenes.spec import SceneSpec
 from multilight.scenes.still_life.attempts import SceneSettings, first_success
-from multilight.scenes.streams import Streams, Weights
+from multilight.scenes.streams import Rng, Streams, Weights
 
 ATTEMPTS = 16
 
@@ -88,7 +88,7 @@ def _furnished(
     return plan, names
 
 
-def _room(probes: np.random.Generator, library: AssetLibrary, plan: Plan, names: list[str]) -> Room:
+def _room(probes: Rng, library: AssetLibrary, plan: Plan, names: list[str]) -> Room:
     """Collect what cameras must show and avoid."""
     watched = {
         index: np.concatenate([surface_points(body, library, probes, 48), extreme_points(body, library)])

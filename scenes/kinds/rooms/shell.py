@@ -16,7 +16,7 @@ from multilight.scenes.kinds.rooms.finish import Palette
 from multilight.scenes.materials import painted_wall, pick_texture, sample_material, textured
 from multilight.scenes.spec import Body, Material
 from multilight.scenes.still_life.planes import Pair, downward_pose, level_pose, plane, skirting, upright_pose
-from multilight.scenes.streams import pick
+from multilight.scenes.streams import Rng, pick
 
 OVERSHOOT = 0.3
 """How far [m] walls, floor and ceiling run on behind each other."""
@@ -100,9 +100,7 @@ class Shell:
         return all(opening.wall is not wall for opening in self.openings)
 
 
-def sample_shell(
-    rng: np.random.Generator, library: AssetLibrary, *, span: tuple[tuple[float, float], tuple[float, float]]
-) -> Shell:
+def sample_shell(rng: Rng, library: AssetLibrary, *, span: tuple[tuple[float, float], tuple[float, float]]) -> Shell:
     """Draw a room's size, its windows on one or two walls and its door on another.
 
     `span` gives the least and greatest length of the longer and of the shorter side [m].
@@ -137,7 +135,7 @@ def _size(info: AssetInfo) -> tuple[float, float, float]:
     return info.size
 
 
-def _windows(rng: np.random.Generator, library: AssetLibrary, shell: Shell, wall: Wall) -> None:
+def _windows(rng: Rng, library: AssetLibrary, shell: Shell, wall: Wall) -> None:
     """Cut one window, or two alike, into a wall."""
     fitting = [
         info for info in library.list("surrounding") if info.category == "window" and _size(info)[0] < wall.length - 0.5
@@ -157,9 +155,7 @@ def _windows(rng: np.random.Generator, library: AssetLibrary, shell: Shell, wall
         shell.openings.append(Opening(wall, along, width, bottom, top, info, WINDOW_PROUD))
 
 
-def shell_bodies(
-    rng: np.random.Generator, library: AssetLibrary, shell: Shell, palette: Palette, kind: str
-) -> list[Body]:
+def shell_bodies(rng: Rng, library: AssetLibrary, shell: Shell, palette: Palette, kind: str) -> list[Body]:
     """Build floor, ceiling, walls and skirting; windows and doors are placed as pieces."""
     x, y, over = shell.width, shell.depth, 2 * OVERSHOOT
     size = (x + over, y + over)
@@ -179,7 +175,7 @@ def shell_bodies(
     return bodies
 
 
-def _floor(rng: np.random.Generator, library: AssetLibrary, kind: str) -> Material:
+def _floor(rng: Rng, library: AssetLibrary, kind: str) -> Material:
     """Draw a floor: boards and parquet mostly, tiles in kitchens, carpet sometimes."""
     categories = _KITCHEN_FLOORS if kind == "kitchen" else _FLOORS
     wanted = pick(rng, categories)
@@ -189,7 +185,7 @@ def _floor(rng: np.random.Generator, library: AssetLibrary, kind: str) -> Materi
     return textured(rng, info, _FINISH.get(wanted, "floor"))
 
 
-def _accent(rng: np.random.Generator, library: AssetLibrary) -> Material:
+def _accent(rng: Rng, library: AssetLibrary) -> Material:
     """Draw the finish of the one wall that differs: brick, plaster, or another paint."""
     info = pick_texture(rng, library, frozenset({"brick", "plaster", "concrete"}), laid=True)
     return painted_wall(rng) if info is None or rng.random() < 0.5 else textured(rng, info, "wall")

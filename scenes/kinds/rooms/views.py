@@ -12,6 +12,7 @@ from multilight.scenes.cameras.trajectory import CLOSER, SEEN, TrajectoryError, 
 from multilight.scenes.geometry.rays import SceneRays
 from multilight.scenes.poses import box_centre
 from multilight.scenes.spec import Camera
+from multilight.scenes.streams import Rng
 
 # Measures [m], and fractions of a picture.
 HEIGHTS, LOWEST = (0.85, 1.75), 0.3  # of cameras: a seated child's eye to a tall adult's; when moved in on an object
@@ -62,7 +63,7 @@ class Room:
 
 
 def sample_views(
-    rng: np.random.Generator,
+    rng: Rng,
     room: Room,
     *,
     size: tuple[int, int],
@@ -105,7 +106,7 @@ class _Path:
     tightness: Float64
 
 
-def _path(rng: np.random.Generator, room: Room, good: Float64, views: int, kind: TrajectoryKind) -> _Path:
+def _path(rng: Rng, room: Room, good: Float64, views: int, kind: TrajectoryKind) -> _Path:
     """Draw a path of a kind over the good standpoints, which are sorted from near to far."""
     match kind:
         case "approach":
@@ -121,7 +122,7 @@ def _path(rng: np.random.Generator, room: Room, good: Float64, views: int, kind:
     return _Path(eyes, np.clip((reach.max() - reach) / max(np.ptp(reach), 0.3), 0.0, 1.0))
 
 
-def _walk(rng: np.random.Generator, good: Float64, views: int) -> Float64:
+def _walk(rng: Rng, good: Float64, views: int) -> Float64:
     """Draw a curve (views, 3) from one of the farther standpoints to one of the nearer."""
     near = good[int(rng.integers(0, max(1, len(good) // 4)))]
     far = good[int(rng.integers(len(good) * 2 // 3, len(good)))]
@@ -131,7 +132,7 @@ def _walk(rng: np.random.Generator, good: Float64, views: int) -> Float64:
     return np.asarray(curve + rng.normal(0.0, 0.01, curve.shape))
 
 
-def _arc(rng: np.random.Generator, room: Room, good: Float64, views: int) -> Float64:
+def _arc(rng: Rng, room: Room, good: Float64, views: int) -> Float64:
     """Draw an arc (views, 3) round what is inserted, through one of the standpoints."""
     through = good[int(rng.integers(len(good)))] - room.focus
     sweep = np.radians(rng.uniform(*ARC)) * rng.choice([-1.0, 1.0])
@@ -141,16 +142,14 @@ def _arc(rng: np.random.Generator, room: Room, good: Float64, views: int) -> Flo
     return np.asarray(room.focus + np.stack([reach * np.cos(angle), reach * np.sin(angle), height], axis=-1))
 
 
-def _wobble(rng: np.random.Generator, views: int) -> Float64:
+def _wobble(rng: Rng, views: int) -> Float64:
     """Return the slow unrest of a hand, (views, 3), of about unit size: two sine waves an axis."""
     t = np.linspace(0.0, 1.0, views)[:, None]
     waves = [np.sin(2 * np.pi * (rng.uniform(*c, 3) * t + rng.random(3))) for c in ((0.3, 0.9), (0.9, 2.2))]
     return np.asarray(waves[0] + 0.5 * waves[1])
 
 
-def _cameras(
-    rng: np.random.Generator, room: Room, path: _Path, size: tuple[int, int], settings: CameraSettings
-) -> tuple[Camera, ...]:
+def _cameras(rng: Rng, room: Room, path: _Path, size: tuple[int, int], settings: CameraSettings) -> tuple[Camera, ...]:
     """Point cameras at what is inserted: wide where a path is loose, so that the room shows, else tighter."""
     points = np.concatenate(list(room.watched.values()))
     shortest, longest = settings.lens_mm
@@ -176,7 +175,7 @@ def _cameras(
     return tuple(cameras)
 
 
-def _moved_in(rng: np.random.Generator, room: Room, cameras: tuple[Camera, ...], fraction: float) -> tuple[Camera, ...]:
+def _moved_in(rng: Rng, room: Room, cameras: tuple[Camera, ...], fraction: float) -> tuple[Camera, ...]:
     """Let the last cameras of a path move in on one object, where the others still show everything."""
     body = sorted(room.watched)[int(rng.integers(len(room.watched)))]
     points = room.watched[body]

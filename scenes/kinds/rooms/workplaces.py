@@ -9,6 +9,7 @@ from multilight.scenes.kinds.rooms.groups import PENDANT, TABLES, along_walls, k
 from multilight.scenes.kinds.rooms.plan import BACK, LIFT, Piece, PlacedPiece, Plan
 from multilight.scenes.kinds.rooms.shell import Wall
 from multilight.scenes.poses import pose_at
+from multilight.scenes.streams import Rng
 
 # Measures of homes [m], and how often they have what [probability].
 JOINT = 0.002  # between kitchen units
@@ -27,7 +28,7 @@ BEDSIDE_LAMP, BED_RUG = 0.85, 0.7  # a lamp on a nightstand; a rug at the bed's 
 CORNERS = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))  # signs of x and y
 
 
-def dining(rng: np.random.Generator, plan: Plan) -> None:
+def dining(rng: Rng, plan: Plan) -> None:
     """Stand a table where chairs fit round it, and hang a pendant over it; smaller tables where larger do not fit."""
     for longest in DINING_TABLES:
         table = plan.choose(rng, *TABLES, largest=(longest, 1.05, 0.82))
@@ -41,7 +42,7 @@ def dining(rng: np.random.Generator, plan: Plan) -> None:
                 return
 
 
-def _stand_free(rng: np.random.Generator, plan: Plan, table: Piece, margin: float) -> PlacedPiece | None:
+def _stand_free(rng: Rng, plan: Plan, table: Piece, margin: float) -> PlacedPiece | None:
     """Try to stand a table somewhere, `margin` [m] free all round."""
     angle = float(rng.choice([0.0, np.pi / 2]))
     reach = (table.size[:2] if angle == 0.0 else table.size[1::-1]) / 2 + margin
@@ -54,7 +55,7 @@ def _stand_free(rng: np.random.Generator, plan: Plan, table: Piece, margin: floa
     return plan.stand(rng, table, place, angle, role="support")
 
 
-def _chairs(rng: np.random.Generator, plan: Plan, table: PlacedPiece) -> None:
+def _chairs(rng: Rng, plan: Plan, table: PlacedPiece) -> None:
     """Stand chairs of one kind round a table, tucked in as far as they go, some drawn out."""
     chair = plan.choose(rng, "chair", "stool", largest=(0.65, 0.7, 1.2))
     if chair is None:
@@ -73,7 +74,7 @@ def _chairs(rng: np.random.Generator, plan: Plan, table: PlacedPiece) -> None:
 
 
 def _seated(
-    rng: np.random.Generator, chair: Piece, table: PlacedPiece, edge: Float64, outwards: Float64, yaw: float
+    rng: Rng, chair: Piece, table: PlacedPiece, edge: Float64, outwards: Float64, yaw: float
 ) -> Iterator[Float64]:
     """Draw poses of a chair at a table's edge, the first furthest under it; `edge`, `outwards` in the table's frame."""
     angle = float(np.arctan2(table.pose[1, 0], table.pose[0, 0]))
@@ -84,7 +85,7 @@ def _seated(
         yield pose_at(place, LIFT, angle + yaw + float(rng.normal(0.0, 0.05)))
 
 
-def _pendant_over(rng: np.random.Generator, plan: Plan, table: PlacedPiece) -> None:
+def _pendant_over(rng: Rng, plan: Plan, table: PlacedPiece) -> None:
     """Hang a pendant over the centre of a table, low enough to be over it and high enough to see across."""
     tall = plan.shell.height - float(table.high[2]) - SEE_ACROSS
     piece = plan.choose(rng, "pendant", largest=(*PENDANT, tall))
@@ -92,7 +93,7 @@ def _pendant_over(rng: np.random.Generator, plan: Plan, table: PlacedPiece) -> N
         plan.hang(rng, piece, (table.low[:2] + table.high[:2]) / 2)
 
 
-def kitchen_row(rng: np.random.Generator, plan: Plan) -> None:
+def kitchen_row(rng: Rng, plan: Plan) -> None:
     """Line up units of one make along a wall: fridge or tall unit, base units, sink, cooker; wall units above."""
     family = str(rng.choice(["a", "b"]))
     for most in ROWS:
@@ -111,7 +112,7 @@ def kitchen_row(rng: np.random.Generator, plan: Plan) -> None:
                 plan.back_to(mark)
 
 
-def _draw_row(rng: np.random.Generator, plan: Plan, family: str, room: float) -> list[Piece]:
+def _draw_row(rng: Rng, plan: Plan, family: str, room: float) -> list[Piece]:
     """Draw units that fit a wall: sink and cooker first, base units between, something tall at one end."""
     names = [f"sink_unit_{family}", "stove" if rng.random() < STOVE else "washer"]
     names += [f"base_unit_{family}"] * 6
@@ -129,7 +130,7 @@ def _draw_row(rng: np.random.Generator, plan: Plan, family: str, room: float) ->
     return row
 
 
-def _line_up(rng: np.random.Generator, plan: Plan, wall: Wall, row: list[Piece], start: float) -> list[PlacedPiece]:
+def _line_up(rng: Rng, plan: Plan, wall: Wall, row: list[Piece], start: float) -> list[PlacedPiece]:
     """Stand units side by side from `start` along a wall; where one is not free there is a gap."""
     placed: list[PlacedPiece] = []
     here = start
@@ -143,7 +144,7 @@ def _line_up(rng: np.random.Generator, plan: Plan, wall: Wall, row: list[Piece],
     return placed
 
 
-def _above(rng: np.random.Generator, plan: Plan, wall: Wall, family: str, row: list[PlacedPiece]) -> None:
+def _above(rng: Rng, plan: Plan, wall: Wall, family: str, row: list[PlacedPiece]) -> None:
     """Hang a hood over the cooker and wall units over the base units, where neither window nor shelf is."""
     for unit in row:
         if unit.high[2] > LOW:
@@ -160,7 +161,7 @@ def _above(rng: np.random.Generator, plan: Plan, wall: Wall, family: str, row: l
             plan.against_wall(rng, piece, wall, along=wall.along(unit.pose[:2, 3]), z=z)
 
 
-def bed(rng: np.random.Generator, plan: Plan) -> None:
+def bed(rng: Rng, plan: Plan) -> None:
     """Stand a bed with its head at a wall, a nightstand with a lamp on each side, a rug at its foot."""
     for wall in plan.walls_by_room(rng):
         piece = plan.choose(rng, "bed", largest=(wall.length - 1.1, 2.4, 1.4))
@@ -179,7 +180,7 @@ def bed(rng: np.random.Generator, plan: Plan) -> None:
         return
 
 
-def _nightstands(rng: np.random.Generator, plan: Plan, wall: Wall, along: float, bed_wide: float) -> None:
+def _nightstands(rng: Rng, plan: Plan, wall: Wall, along: float, bed_wide: float) -> None:
     """Stand two alike at the sides of a bed, most with a lamp."""
     stand = plan.choose(rng, "nightstand", largest=(0.65, 0.6, 0.8))
     if stand is None:
@@ -191,7 +192,7 @@ def _nightstands(rng: np.random.Generator, plan: Plan, wall: Wall, along: float,
             lamp_on(rng, plan, done)
 
 
-def desk(rng: np.random.Generator, plan: Plan, *, probability: float) -> None:
+def desk(rng: Rng, plan: Plan, *, probability: float) -> None:
     """Stand a desk at a wall, under a window as well, and a chair at it."""
     if rng.random() >= probability:
         return
@@ -208,7 +209,7 @@ def desk(rng: np.random.Generator, plan: Plan, *, probability: float) -> None:
             return
 
 
-def _at_desk(rng: np.random.Generator, chair: Piece, desk: PlacedPiece, wall: Wall) -> Iterator[Float64]:
+def _at_desk(rng: Rng, chair: Piece, desk: PlacedPiece, wall: Wall) -> Iterator[Float64]:
     """Draw poses of a chair at a desk, the first furthest under it."""
     along = wall.along(desk.pose[:2, 3]) + float(rng.uniform(-0.15, 0.15))
     for tuck in TUCKED_AT_DESK:
@@ -216,7 +217,7 @@ def _at_desk(rng: np.random.Generator, chair: Piece, desk: PlacedPiece, wall: Wa
         yield pose_at(wall.point(along, out), LIFT, wall.angle + np.pi + float(rng.normal(0.0, 0.3)))
 
 
-def reading_corner(rng: np.random.Generator, plan: Plan) -> None:
+def reading_corner(rng: Rng, plan: Plan) -> None:
     """Stand an armchair in a corner, a lamp behind it and a small table beside it."""
     chair = plan.choose(rng, "armchair", largest=(1.1, 1.1, 1.2))
     if chair is None:

@@ -8,7 +8,8 @@ from PIL import Image, ImageDraw
 from scipy.ndimage import gaussian_filter
 
 from multilight.scenes.arrays import Float64
-from multilight.scenes.assets.builtin.textures.patterns import Colour, Rng, axes, cells, noise, ramp, step
+from multilight.scenes.assets.builtin.textures.patterns import Colour, axes, cells, noise, ramp, step
+from multilight.scenes.streams import Rng
 
 
 def lawn(rng: Rng, n: int, *, colours: tuple[Colour, ...], blades: int = 20000) -> tuple[Float64, Float64]:

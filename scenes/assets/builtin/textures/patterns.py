@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 
 from multilight.scenes.arrays import Float64, Int64
 from multilight.scenes.numbers import smoothstep
+from multilight.scenes.streams import Rng
 
-Rng = np.random.Generator
 Colour = tuple[float, float, float]
 
 

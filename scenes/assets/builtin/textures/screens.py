@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from multilight.scenes.assets.builtin.textures.patterns import Rng, noise, ramp
-from multilight.scenes.streams import generator_of, pick
+from multilight.scenes.assets.builtin.textures.patterns import noise, ramp
+from multilight.scenes.streams import Rng, generator_of, pick
 
 Ink = tuple[int, int, int]
 
