@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from typing import Generic, Self, TypeVar, cast
 
 import numpy as np
-from pydantic import ConfigDict, model_validator
+from numpy.typing import ArrayLike
+from pydantic import model_validator
 
-from multilight.scenes.frozen import Frozen
+from multilight.scenes.frozen import Settings
 
 Rng = np.random.Generator
 K = TypeVar("K")
@@ -37,9 +38,11 @@ def generator_of(name: str) -> Rng:
     return np.random.Generator(np.random.PCG64(zlib.crc32(name.encode())))
 
 
-def pick(rng: Rng, choices: Sequence[K]) -> K:
-    """Draw one of several things, each as likely as the others."""
-    return choices[int(rng.integers(len(choices)))]
+def pick(rng: Rng, choices: Sequence[K], weights: ArrayLike | None = None) -> K:
+    """Draw one of several things, each as likely as the others, or in proportion to its weight."""
+    if weights is None:
+        return choices[int(rng.integers(len(choices)))]
+    return choices[int(rng.choice(len(choices), p=np.asarray(weights) / np.sum(weights)))]
 
 
 def log_uniform(rng: Rng, low: float, high: float) -> float:
@@ -49,8 +52,7 @@ def log_uniform(rng: Rng, low: float, high: float) -> float:
 
 def weighted_pick(rng: Rng, weights: Mapping[K, float]) -> K:
     """Draw a key with a probability in proportion to its weight."""
-    heights = np.array(list(weights.values()))
-    return list(weights)[int(rng.choice(len(heights), p=heights / heights.sum()))]
+    return pick(rng, list(weights), list(weights.values()))
 
 
 def pick_at(place: float, weights: Mapping[K, float]) -> K:
@@ -63,10 +65,8 @@ def pick_at(place: float, weights: Mapping[K, float]) -> K:
     return next(key for key, weight in reversed(list(weights.items())) if weight > 0)
 
 
-class Weights(Frozen, Generic[K]):
+class Weights(Settings, Generic[K]):
     """How often each of several kinds comes, relative to the others: a field each, not all of them 0."""
-
-    model_config = ConfigDict(use_attribute_docstrings=True)
 
     @model_validator(mode="after")
     def _some_weight(self) -> Self:

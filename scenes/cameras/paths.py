@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from multilight.scenes.arrays import Float64
 from multilight.scenes.cameras.pinhole import camera_from_lens, half_angle, look_at
-from multilight.scenes.frozen import Frozen, UnitFloat
+from multilight.scenes.frozen import Settings, UnitFloat
 from multilight.scenes.numbers import smoothstep
 from multilight.scenes.poses import direction_from
 from multilight.scenes.spec import Camera
@@ -72,10 +72,8 @@ class TrajectoryShares(Weights[TrajectoryKind]):
     """Each view from anywhere, with any lens."""
 
 
-class CameraSettings(Frozen):
+class CameraSettings(Settings):
     """What the cameras of a dataset have in common."""
-
-    model_config = ConfigDict(use_attribute_docstrings=True)
 
     trajectories: TrajectoryShares = TrajectoryShares()
     """Kinds of trajectory."""
@@ -134,15 +132,8 @@ def draw_path(rng: Rng, kind: TrajectoryKind, framing: Framing, *, views: int, l
     """Draw a path of a kind."""
     low, high = lens_mm
     lens = (low, low * (high / low) ** framing.narrow)
-    match kind:
-        case "approach":
-            return _approach(rng, framing, views, lens)
-        case "orbit":
-            return _orbit(rng, framing, views, lens)
-        case "handheld":
-            return _handheld(rng, framing, views, lens)
-        case "random":
-            return _random(rng, framing, views, lens)
+    drawn = {"approach": _approach, "orbit": _orbit, "handheld": _handheld, "random": _random}[kind]
+    return drawn(rng, framing, views, lens)
 
 
 def camera_on(path: Path, view: int, aims: tuple[Float64, Float64], size: tuple[int, int]) -> Camera:

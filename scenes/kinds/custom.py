@@ -17,7 +17,7 @@ from multilight.scenes.poses import direction_from
 from multilight.scenes.spec import Body, SceneSpec
 from multilight.scenes.still_life.sample import StillLifeSettings, sample_still_life
 from multilight.scenes.still_life.setting import Setting, make_body
-from multilight.scenes.streams import Streams
+from multilight.scenes.streams import Streams, pick
 
 CELL = 0.02
 """Grid [m] on which surfaces are looked for; coarser on surfaces beyond `MOST_CELLS`."""
@@ -70,7 +70,7 @@ def sample_custom(streams: Streams, library: AssetLibrary, *, index: int, settin
     weights = np.sqrt([min(place.surface.area, 1.0) for place in places])
 
     def build(attempt: int) -> Setting:
-        place = places[int(streams(f"place/{attempt}").choice(len(places), p=weights / weights.sum()))]
+        place = pick(streams(f"place/{attempt}"), places, weights)
         return Setting(
             bodies=bodies,
             solids=(),

@@ -52,8 +52,7 @@ def draw_by_category(rng: Rng, infos: Sequence[AssetInfo], *, evenly: bool = Tru
     if evenly:
         wanted = pick(rng, categories)
     else:
-        weights = np.sqrt([names.count(category) for category in categories])
-        wanted = categories[int(rng.choice(len(categories), p=weights / weights.sum()))]
+        wanted = pick(rng, categories, np.sqrt([names.count(category) for category in categories]))
     return pick(rng, [info for info in infos if info.category == wanted])
 
 

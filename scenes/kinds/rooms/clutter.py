@@ -125,19 +125,17 @@ class Objects:
             place = near + reach * np.sqrt(rng.uniform(0.05, 1.0)) * np.array([np.cos(angle), np.sin(angle)])
             pose = pose_at(place, -footing.lowest + LIFT, float(rng.uniform(0.0, 2 * np.pi)))
             low, high = self.plan.box(piece, pose)
-            rugs = [name for name in self.plan.touched(low, high) if self._is_rug(name)]
+            touched = [self.plan.placed[name] for name in self.plan.touched(low, high)]
+            rugs = [placed for placed in touched if placed.piece.info.category == "rug"]
             if rugs:
-                rug = self.plan.placed[rugs[0]]
+                rug = rugs[0]
                 if (low[:2] < rug.low[:2]).any() or (high[:2] > rug.high[:2]).any():
                     continue
                 pose[2, 3] += rug.high[2]
-            name = self._add(rng, info, pose, apart_from=rugs)
+            name = self._add(rng, info, pose, apart_from=[rug.name for rug in rugs])
             if name is not None:
                 return name
         return None
-
-    def _is_rug(self, name: str) -> bool:
-        return self.plan.placed[name].piece.info.category == "rug"
 
     def _add(
         self, rng: Rng, info: AssetInfo, pose: Float64, *, apart_from: Sequence[str], glows: bool = False
@@ -197,8 +195,7 @@ def _stage(rng: Rng, objects: Objects, kind: RoomType) -> tuple[Spot, list[Spot]
     wide = [s for s in spots if s.area > FOCUS[0] and s.owner.piece.info.category != "radiator"]
     if not wide:
         raise PlacementError(f"no surface for inserted objects among {len(spots)} in a {kind} room")
-    weights = np.array([min(s.area, FOCUS[1]) for s in wide])
-    focus = wide[int(rng.choice(len(wide), p=weights / weights.sum()))]
+    focus = pick(rng, wide, [min(s.area, FOCUS[1]) for s in wide])
     near = [s for s in spots if 0.0 < np.linalg.norm(s.centre - focus.centre) < REACH and s.area > NEAR]
     return focus, near
 

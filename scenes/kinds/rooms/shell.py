@@ -15,7 +15,7 @@ from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.kinds.rooms.finish import Palette
 from multilight.scenes.materials import painted_wall, pick_texture, sample_material, textured
 from multilight.scenes.spec import Body, Material
-from multilight.scenes.still_life.planes import Pair, downward_pose, level_pose, plane, skirting, upright_pose
+from multilight.scenes.still_life.planes import downward_pose, level_pose, plane, skirting, upright_pose
 from multilight.scenes.streams import Rng, pick
 
 OVERSHOOT = 0.3
@@ -60,11 +60,6 @@ class Wall:
     def along(self, place: Float64) -> float:
         """Return how far along the wall a place (x, y) lies from its midpoint [m]."""
         return float((place - self.centre) @ self.right)
-
-    @property
-    def facing(self) -> Pair:
-        """The unit vector into the room as a pair."""
-        return float(self.inward[0]), float(self.inward[1])
 
 
 @dataclass(frozen=True)
@@ -137,10 +132,8 @@ def _size(info: AssetInfo) -> tuple[float, float, float]:
 
 def _windows(rng: Rng, library: AssetLibrary, shell: Shell, wall: Wall) -> None:
     """Cut one window, or two alike, into a wall."""
-    fitting = [
-        info for info in library.list("surrounding") if info.category == "window" and _size(info)[0] < wall.length - 0.5
-    ]
-    info = pick(rng, fitting)
+    windows = [info for info in library.list("surrounding") if info.category == "window"]
+    info = pick(rng, [info for info in windows if _size(info)[0] < wall.length - 0.5])
     outer, _, tall = _size(info)
     top = float(rng.uniform(*HEADS))
     bottom = top - (tall - SILL - CASING) - LINING
@@ -177,8 +170,7 @@ def shell_bodies(rng: Rng, library: AssetLibrary, shell: Shell, palette: Palette
 
 def _floor(rng: Rng, library: AssetLibrary, kind: str) -> Material:
     """Draw a floor: boards and parquet mostly, tiles in kitchens, carpet sometimes."""
-    categories = _KITCHEN_FLOORS if kind == "kitchen" else _FLOORS
-    wanted = pick(rng, categories)
+    wanted = pick(rng, _KITCHEN_FLOORS if kind == "kitchen" else _FLOORS)
     info = pick_texture(rng, library, frozenset({wanted}), laid=True)
     if info is None:
         return sample_material(rng, "wood", name="floor")
@@ -199,16 +191,14 @@ def _wall(shell: Shell, wall: Wall, material: Material) -> list[Body]:
     here = -end
     for opening in sorted((o for o in shell.openings if o.wall is wall), key=lambda o: o.along):
         left, right = opening.along - opening.width / 2, opening.along + opening.width / 2
-        panels.append((here, left, low, high))
-        panels.append((left, right, opening.top, high))
+        panels += [(here, left, low, high), (left, right, opening.top, high)]
         if not opening.is_door:
             panels.append((left, right, low, opening.bottom))
         here = right
     panels.append((here, end, low, high))
     bodies = []
     for number, (left, right, bottom, top) in enumerate(panels):
-        place = wall.point((left + right) / 2, 0.0)
-        pose = upright_pose((float(place[0]), float(place[1]), (bottom + top) / 2), wall.facing)
+        pose = upright_pose((*wall.point((left + right) / 2, 0.0), (bottom + top) / 2), wall.inward)
         bodies.append(plane(f"wall_{wall.name}_{number}", (right - left, top - bottom), material, pose))
     return bodies
 
@@ -225,8 +215,7 @@ def _skirting(shell: Shell, wall: Wall, material: Material, board: tuple[float, 
     here = -wall.length / 2
     for number, (left, right) in enumerate([*sorted(cuts), (wall.length / 2, np.inf)]):
         if left - here > 0.02:
-            x, y = (float(v) for v in wall.point((here + left) / 2, 0.0))
-            size = (left - here, high, thick)
-            bodies += skirting(f"skirting_{wall.name}_{number}", (x, y), wall.facing, size, material)
+            size, foot = (left - here, high, thick), wall.point((here + left) / 2, 0.0)
+            bodies += skirting(f"skirting_{wall.name}_{number}", foot, wall.inward, size, material)
         here = right
     return bodies
