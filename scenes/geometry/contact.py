@@ -49,11 +49,6 @@ class ContactReport:
     unsupported: tuple[str, ...]
     supports: dict[str, How]
 
-    @property
-    def ok(self) -> bool:
-        """Whether nothing lies in anything and everything is carried."""
-        return not self.overlaps and not self.unsupported
-
 
 class Solids:
     """Makes bodies into solids, each geometry once."""
@@ -95,10 +90,10 @@ def _slab(vertices: Float64, faces: Int64) -> tuple[Float64, Int64]:
     return np.concatenate([vertices, back]), np.concatenate([faces, faces[:, ::-1] + 4, sides])
 
 
-def check_contacts(bodies: Sequence[Body], library: AssetLibrary, *, tolerance: float = TOLERANCE) -> ContactReport:
+def check_contacts(bodies: Sequence[Body], library: AssetLibrary) -> ContactReport:
     """Check every pair of bodies for overlap, and every body for what carries it.
 
-    Bodies of role `surrounding` carry without being carried, and may overlap each other. Gaps up to `tolerance` [m]
+    Bodies of role `surrounding` carry without being carried, and may overlap each other. Gaps up to `TOLERANCE`
     count as contact, depths up to it as none.
     """
     solids = Solids(library)
@@ -107,11 +102,11 @@ def check_contacts(bodies: Sequence[Body], library: AssetLibrary, *, tolerance: 
     overlaps, contacts = [], {}
     for first, second in combinations(placed, 2):
         pair = placed[first], placed[second]
-        if (first in fixed and second in fixed) or not boxes_meet(*pair, reach=tolerance):
+        if (first in fixed and second in fixed) or not boxes_meet(*pair, reach=TOLERANCE):
             continue
-        if (deep := depth(*pair, ignore=0.9 * tolerance)) > tolerance:
+        if (deep := depth(*pair, ignore=0.9 * TOLERANCE)) > TOLERANCE:
             overlaps.append(Overlap(first, second, deep))
-        points = touching(*pair, reach=tolerance)
+        points = touching(*pair, reach=TOLERANCE)
         if len(points):
             contacts[first, second] = points
     supports = _carried(placed, fixed, contacts)

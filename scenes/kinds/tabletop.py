@@ -57,15 +57,8 @@ def _setting(
         table = table.model_copy(update={"materials": tuple(materials)})
     corners = body_triangles(table, library)[0]
     box = np.stack([corners.min(axis=0), corners.max(axis=0)])
-    around = sample_surrounding(streams(f"surrounding/{attempt}"), library, kind=kind, table=box)
-    return Setting(
-        bodies=(*around.bodies, table),
-        solids=("table",),
-        surface=surface,
-        world_from_surface=np.array(table.world_from_body),
-        front=around.front,
-        opening=around.opening,
-    )
+    bodies, front, opening = sample_surrounding(streams(f"surrounding/{attempt}"), library, kind=kind, table=box)
+    return Setting((*bodies, table), ("table",), surface, np.array(table.world_from_body), front, opening)
 
 
 def _table(
