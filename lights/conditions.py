@@ -7,7 +7,7 @@ import numpy as np
 from multilight.lights.photometry.colour import gel_rgb, random_gel, temperature_to_rgb
 from multilight.lights.photometry.radiometry import rgb_from_scalar
 from multilight.lights.spec import LightingCondition, LightRig
-from multilight.scenes.frozen import Rgb
+from multilight.scenes.frozen import Rgb, triple
 from multilight.scenes.streams import Rng
 
 GAIN = 3.0
@@ -51,8 +51,7 @@ def _condition(rng: Rng, name: str, lit: tuple[str, ...]) -> LightingCondition:
     gains = {}
     for light in lit:
         gain = float(np.exp(rng.uniform(-np.log(GAIN), np.log(GAIN))))
-        tint = _tint(rng)
-        gains[light] = (gain * tint[0], gain * tint[1], gain * tint[2])
+        gains[light] = triple(gain * channel for channel in _tint(rng))
     return LightingCondition(name=name, gains=gains, exposure_ev=round(float(rng.uniform(-EXPOSURE, EXPOSURE)), 3))
 
 
@@ -63,6 +62,5 @@ def _tint(rng: Rng) -> Rgb:
         return WHITE
     if kind < 0.92:
         new, old = (temperature_to_rgb(1.0 / float(rng.uniform(1 / 8000, 1 / 3000))) for _ in range(2))
-        ratio = [float(np.clip(a / max(b, 1e-3), 0.1, 10.0)) for a, b in zip(new, old, strict=True)]
-        return rgb_from_scalar(1.0, (ratio[0], ratio[1], ratio[2]))
+        return rgb_from_scalar(1.0, triple(np.clip(np.divide(new, np.maximum(old, 1e-3)), 0.1, 10.0)))
     return gel_rgb(random_gel(rng), float(rng.uniform(0.3, 0.8)))

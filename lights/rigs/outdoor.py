@@ -1,7 +1,5 @@
 """Rigs under the sky: sun and sky, overcast, golden hour, a photographed place, or night with practical lamps."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from multilight.lights.photometry.irradiance import LightMeter
@@ -21,27 +19,17 @@ PLACE_LUX, NIGHT_LUX = (1000.0, 30_000.0), (8.0, 120.0)
 """Illuminance in a photographed place by day, whose own level is not known, and under practical lamps [lx]."""
 
 
-@dataclass(frozen=True)
-class _Helper:
-    """A reflector or flash: azimuth from the cameras to either side and elevation [degrees], angular diameter [rad],
-    and its level against the daylight."""
-
-    name: str
-    kind: LampKind
-    azimuth: tuple[float, float]
-    elevation: tuple[float, float]
-    size: tuple[float, float]
-    strength: tuple[float, float]
-
-
-_HELPERS = (
-    _Helper("reflector", "area", (40.0, 110.0), (15.0, 40.0), (0.5, 1.0), (0.08, 0.35)),
-    _Helper("flash", "spot", (60.0, 170.0), (20.0, 55.0), (0.004, 0.06), (0.15, 0.8)),
-    _Helper("rim", "area", (130.0, 180.0), (15.0, 45.0), (0.1, 0.5), (0.15, 0.6)),
-    _Helper("diffuser", "area", (0.0, 180.0), (55.0, 80.0), (0.4, 1.0), (0.1, 0.5)),
-    _Helper("accent", "spot", (20.0, 150.0), (15.0, 60.0), (0.004, 0.1), (0.1, 0.5)),
-    _Helper("kicker", "area", (80.0, 150.0), (12.0, 30.0), (0.1, 0.4), (0.1, 0.4)),
+_Span = tuple[float, float]
+_HELPERS: tuple[tuple[str, LampKind, _Span, _Span, _Span, _Span], ...] = (
+    ("reflector", "area", (40.0, 110.0), (15.0, 40.0), (0.5, 1.0), (0.08, 0.35)),
+    ("flash", "spot", (60.0, 170.0), (20.0, 55.0), (0.004, 0.06), (0.15, 0.8)),
+    ("rim", "area", (130.0, 180.0), (15.0, 45.0), (0.1, 0.5), (0.15, 0.6)),
+    ("diffuser", "area", (0.0, 180.0), (55.0, 80.0), (0.4, 1.0), (0.1, 0.5)),
+    ("accent", "spot", (20.0, 150.0), (15.0, 60.0), (0.004, 0.1), (0.1, 0.5)),
+    ("kicker", "area", (80.0, 150.0), (12.0, 30.0), (0.1, 0.4), (0.1, 0.4)),
 )
+"""Reflectors and flashes: name, kind, azimuth from the cameras to either side and elevation [degrees], angular diameter
+[rad], and level against the daylight."""
 _PRACTICALS: dict[str, tuple[LampKind, float, float]] = {
     "lantern": ("point", 2600.0, 0.15),
     "street_lamp": ("point", 2600.0, 0.15),
@@ -101,12 +89,12 @@ def _helpers(rng: Rng, meter: LightMeter, room: int) -> list[LightRole]:
     """Stand up to `room` reflectors and flashes about the subject, each a part of the daylight."""
     roles = []
     for i in rng.permutation(len(_HELPERS))[: max(0, room)]:
-        wanted = _HELPERS[int(i)]
-        side = float(rng.choice([-1.0, 1.0]) * np.radians(rng.uniform(*wanted.azimuth)))
-        tint = draw_tint(rng, gels=0.0 if wanted.name in ("reflector", "diffuser") else 0.3, median=5400.0)
-        elevation = float(np.radians(rng.uniform(*wanted.elevation)))
-        plan = LampPlan(wanted.name, wanted.kind, side, elevation, log_uniform(rng, *wanted.size), tint)
-        roles.append(LightRole(hang(rng, meter, plan), log_uniform(rng, *wanted.strength)))
+        name, kind, azimuth, elevation, size, strength = _HELPERS[int(i)]
+        side = float(rng.choice([-1.0, 1.0]) * np.radians(rng.uniform(*azimuth)))
+        tint = draw_tint(rng, gels=0.0 if name in ("reflector", "diffuser") else 0.3, median=5400.0)
+        height = float(np.radians(rng.uniform(*elevation)))
+        plan = LampPlan(name, kind, side, height, log_uniform(rng, *size), tint)
+        roles.append(LightRole(hang(rng, meter, plan), log_uniform(rng, *strength)))
     return roles
 
 
@@ -122,9 +110,8 @@ def _night(rng: Rng, meter: LightMeter, design: RigDesign, count: int, glow: Lig
     others = ([glow] if glow else []) + [LightRole(sky, log_uniform(rng, 0.3, 1.0))]
     room = count - 1 - len(others)
     if room > 0 and rng.random() < 0.5:
-        found = open_direction(
-            rng, meter, meter.camera + float(rng.uniform(-np.pi, np.pi)), float(rng.uniform(0.4, 1.1))
-        )
+        azimuth = meter.camera + float(rng.uniform(-np.pi, np.pi))
+        found = open_direction(rng, meter, azimuth, float(rng.uniform(0.4, 1.1)))
         if found is not None:
             others.append(LightRole(moon(*found), log_uniform(rng, 0.4, 1.0)))
             room -= 1
