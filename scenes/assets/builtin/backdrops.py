@@ -27,12 +27,12 @@ ROLL = SweepSize(2.72, 3.2, 2.6, 0.45)
 """The usual wide paper roll, hung from a bar."""
 
 
-def sweep(size: SweepSize = STUDIO, *, steps: int = 48) -> Surface:
+def sweep(size: SweepSize = STUDIO) -> Surface:
     """Make the paper, centred in x and y, its floor at z = 0 and its wall at +Y; uv in metres.
 
     It faces up and towards -Y.
     """
-    angle = np.linspace(0.0, np.pi / 2, steps + 1)
+    angle = np.linspace(0.0, np.pi / 2, 49)
     front, wall = -size.depth / 2, size.depth / 2
     y = np.r_[front, wall - size.radius * (1 - np.sin(angle)), wall]
     z = np.r_[0.0, size.radius * (1 - np.cos(angle)), size.height]

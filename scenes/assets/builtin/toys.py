@@ -30,9 +30,8 @@ def book(rng: Rng) -> list[Part]:
     base = pick(rng, PAINTS)
     texture = tiled("weave-linen-natural", 0.12) if rng.random() < 0.5 else None
     tint = (0.25 + 0.75 * base[0], 0.25 + 0.75 * base[1], 0.25 + 0.75 * base[2]) if texture else base
-    binding = Material(
-        name="cover", base_color=tint, base_color_texture=texture, roughness=float(rng.uniform(0.35, 0.8))
-    )
+    rough = float(rng.uniform(0.35, 0.8))
+    binding = Material(name="cover", base_color=tint, base_color_texture=texture, roughness=rough)
     return [(merge(cover), binding), (block, PAPER)]
 
 
