@@ -81,11 +81,8 @@ class Solids:
 
 def _slab(vertices: Float64, faces: Int64) -> tuple[Float64, Int64]:
     """Give a rectangle (4, 3) in its XY plane a back."""
-    corners = np.arange(4)
-    following = np.roll(corners, -1)
-    sides = np.concatenate(
-        [np.stack([following, corners, corners + 4], 1), np.stack([following, corners + 4, following + 4], 1)]
-    )
+    a, b = np.arange(4), np.roll(np.arange(4), -1)
+    sides = np.concatenate([np.stack([b, a, a + 4], 1), np.stack([b, a + 4, b + 4], 1)])
     back = vertices - [0.0, 0.0, BACKING]
     return np.concatenate([vertices, back]), np.concatenate([faces, faces[:, ::-1] + 4, sides])
 

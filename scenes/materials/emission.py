@@ -16,7 +16,7 @@ from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.meshes import Mesh, triangle_areas
 from multilight.scenes.spec import Texture
-from multilight.scenes.streams import Rng, log_uniform
+from multilight.scenes.streams import Rng, log_uniform, pick
 
 
 @dataclass(frozen=True)
@@ -104,4 +104,4 @@ def _picture(rng: Rng, library: AssetLibrary, info: AssetInfo, part: int) -> Tex
     if info.pack != "builtin":
         return shown.material.base_color_texture
     pictures = [found for found in library.list("texture") if found.category == emission_of(info).shows]
-    return Texture(image=pictures[int(rng.integers(len(pictures)))].id)
+    return Texture(image=pick(rng, pictures).id)

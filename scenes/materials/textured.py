@@ -8,7 +8,7 @@ from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.materials.classes import sample_material
 from multilight.scenes.meshes import MeshPart, triangle_areas
 from multilight.scenes.spec import Material, Texture
-from multilight.scenes.streams import Rng
+from multilight.scenes.streams import Rng, pick
 
 _LAID = ("board", "floor", "parquet", "plank")
 
@@ -43,11 +43,11 @@ def pick_texture(rng: Rng, library: AssetLibrary, categories: frozenset[str], *,
     present = sorted({info.category for info in found})
     if not present:
         return None
-    wanted = present[int(rng.integers(len(present)))]
+    wanted = pick(rng, present)
     choice = [info for info in found if info.category == wanted]
     if wanted == "wood":
         choice = [info for info in choice if any(word in info.id for word in _LAID) == laid] or choice
-    return choice[int(rng.integers(len(choice)))]
+    return pick(rng, choice)
 
 
 def metres_per_uv(part: MeshPart) -> float | None:

@@ -22,7 +22,7 @@ from multilight.scenes.materials import body_materials
 from multilight.scenes.meshes import Mesh
 from multilight.scenes.names import free_name
 from multilight.scenes.physics.fall import Region
-from multilight.scenes.physics.settle import Settled, settle, stack
+from multilight.scenes.physics.settle import settle, stack
 from multilight.scenes.poses import apply_pose, pose_at, translation
 from multilight.scenes.spec import Body, Material
 from multilight.scenes.still_life.placement import PlacementError, Standing
@@ -39,8 +39,9 @@ _NESTED: dict[PileKind, frozenset[str]] = {
     "bowls": frozenset({"bowl"}),
     "cups": frozenset({"cup", "tumbler"}),
 }
-FEWEST, TALLEST = 3, 0.45
-"""Things that make a pile; sum of the heights [m] of nested crockery, before it goes into each other."""
+WIDEST, FEWEST, TALLEST = 0.4, 3, 0.45
+"""How far across piles are [m], about; things that make one; sum of the heights [m] of nested crockery, before it goes
+into each other."""
 # Fractions, and distances [m].
 _NESTS = 0.7  # things stack well that rise by less of their height each
 _FILL = 0.75  # of a bowl's space, up to its rim, that its contents take
@@ -93,17 +94,12 @@ class Pile:
         result: list[Body] = []
         for member in self.members:
             info, mesh, pose = member.info, member.mesh, world_from_pile @ member.pile_from_body
-            known = drawn.get(info.id) if self.alike else None
+            known = drawn.get(info.id) if self.kind in _NESTED else None  # crockery is of one set
             drawn[info.id] = known or body_materials(rng, library, info, mesh)
             names = {*taken, *(body.name for body in result)}
             name = free_name(info.category, names, prefix="pile_", otherwise="object")
             result.append(make_body(name, "object", info, mesh, drawn[info.id], pose))
         return result
-
-    @property
-    def alike(self) -> bool:
-        """Whether the members are of one set, and should share their materials."""
-        return self.kind in _NESTED
 
     def standing(self) -> Standing:
         """Return the pile as one thing to place; its pose in the world times a member's in the pile is the member's."""
@@ -115,23 +111,23 @@ class Pile:
         return Standing(first.info, first.mesh, hull, np.eye(3), 0.0, footprint)
 
 
-def sample_pile(rng: Rng, library: AssetLibrary, *, kind: PileKind | None = None, widest: float = 0.4) -> Pile:
-    """Draw and settle a pile of the given kind (None: of any) that is at most about `widest` [m] across.
+def sample_pile(rng: Rng, library: AssetLibrary, *, kind: PileKind | None = None) -> Pile:
+    """Draw and settle a pile of the given kind (None: of any) that is at most about `WIDEST` across.
 
     Every member is carried and none lies deeper than a millimetre in another. Raises `PlacementError` where too
     few suitable assets are installed or too few come to rest.
     """
-    drawn = KINDS[int(rng.integers(len(KINDS)))]
+    drawn = pick(rng, KINDS)
     kind = kind or drawn
     match kind:
         case "fruit_bowl":
-            pile = _fruit_bowl(rng, library, widest)
+            pile = _fruit_bowl(rng, library)
         case "toys":
-            pile = _heap(rng, library, widest)
+            pile = _heap(rng, library)
         case "books":
-            pile = _books(rng, library, widest)
+            pile = _books(rng, library)
         case "plates" | "bowls" | "cups":
-            pile = _crockery(rng, library, kind, widest)
+            pile = _crockery(rng, library, kind)
     if len(pile.members) < FEWEST:
         raise PlacementError(f"only {len(pile.members)} things of a pile of {kind} came to rest, need {FEWEST}")
     return pile
@@ -167,9 +163,9 @@ def _pick(rng: Rng, found: Sequence[tuple[AssetInfo, Mesh]], what: str) -> tuple
     return pick(rng, found)
 
 
-def _fruit_bowl(rng: Rng, library: AssetLibrary, widest: float) -> Pile:
+def _fruit_bowl(rng: Rng, library: AssetLibrary) -> Pile:
     """Fill a bowl with fruit up to a little over its rim."""
-    bowls = [b for b in _suitable(library, frozenset({"bowl"}), (0.15, widest)) if _is_hollow(b[1])]
+    bowls = [b for b in _suitable(library, frozenset({"bowl"}), (0.15, WIDEST)) if _is_hollow(b[1])]
     info, mesh = _pick(rng, bowls, "bowl")
     low, high = mesh.bounds().astype(float)
     space = _HOLLOW * float(np.prod(high - low)) * _FILL
@@ -185,18 +181,13 @@ def _fruit_bowl(rng: Rng, library: AssetLibrary, widest: float) -> Pile:
     region = Region((0.0, 0.0), 1.1 * radius)
     bowl = Placed(_solid(mesh), np.eye(4))
     settled = settle(rng, [_solid(m) for _, m in chosen], [_plane(), bowl], region, spread=0.35 * radius)
-    inside = _within(settled, radius)
-    return _pile("fruit_bowl", [(info, mesh), *chosen], Settled((np.eye(4), *inside.poses), inside.dropped))
 
-
-def _within(settled: Settled, radius: float) -> Settled:
-    """Drop what came to rest beside the bowl; what is in it does not rest on that."""
-
+    # What came to rest beside the bowl is dropped; what is in it does not rest on that.
     def inside(pose: Float64 | None) -> bool:
         return pose is not None and bool(np.hypot(pose[0, 3], pose[1, 3]) < radius and pose[2, 3] > 0.004)
 
-    poses = tuple(pose if inside(pose) else None for pose in settled.poses)
-    return Settled(poses, settled.dropped)
+    poses = [np.eye(4), *(pose if inside(pose) else None for pose in settled.poses)]
+    return _pile("fruit_bowl", [(info, mesh), *chosen], poses)
 
 
 def _is_hollow(mesh: Mesh) -> bool:
@@ -207,29 +198,29 @@ def _is_hollow(mesh: Mesh) -> bool:
     return bool(face >= 0 and solid.triangles[face, :, 2].max() < 0.5 * height)
 
 
-def _heap(rng: Rng, library: AssetLibrary, widest: float) -> Pile:
+def _heap(rng: Rng, library: AssetLibrary) -> Pile:
     """Pour small toys on one spot."""
     toys = _suitable(library, _TOYS, (0.025, 0.11))
     chosen = [_pick(rng, toys, "toys") for _ in range(int(rng.integers(8, 14)))]
-    region = Region((0.0, 0.0), widest / 2)
-    settled = settle(rng, [_solid(m) for _, m in chosen], [_plane()], region, spread=0.05 * widest)
-    return _centred(_pile("toys", chosen, settled))
+    region = Region((0.0, 0.0), WIDEST / 2)
+    settled = settle(rng, [_solid(m) for _, m in chosen], [_plane()], region, spread=0.05 * WIDEST)
+    return _centred(_pile("toys", chosen, settled.poses))
 
 
-def _books(rng: Rng, library: AssetLibrary, widest: float) -> Pile:
+def _books(rng: Rng, library: AssetLibrary) -> Pile:
     """Lay books on each other, the largest lowest, roughly in line."""
-    found = _suitable(library, frozenset({"book"}), (0.1, widest))
+    found = _suitable(library, frozenset({"book"}), (0.1, WIDEST))
     chosen = [_pick(rng, found, "books") for _ in range(int(rng.integers(3, 7)))]
     chosen.sort(key=lambda entry: -float(np.prod(np.ptp(entry[1].bounds(), axis=0)[:2])))
     poses = [_rotated(rng, spread=0.12, shift=0.008) for _ in chosen]
     made: dict[str, Solid] = {}
     solids = [made.setdefault(info.id, _solid(mesh)) for info, mesh in chosen]
-    return _pile("books", chosen, stack(solids, poses, [_plane()]))
+    return _pile("books", chosen, stack(solids, poses, [_plane()]).poses)
 
 
-def _crockery(rng: Rng, library: AssetLibrary, kind: PileKind, widest: float) -> Pile:
+def _crockery(rng: Rng, library: AssetLibrary, kind: PileKind) -> Pile:
     """Put one sort of plate, bowl or cup into itself."""
-    found = _suitable(library, _NESTED[kind], (0.06, widest))
+    found = _suitable(library, _NESTED[kind], (0.06, WIDEST))
     found = [item for item in found if kind == "plates" or _is_hollow(item[1])]
     count = int(rng.integers(3, 7))
     for number in rng.permutation(len(found)):
@@ -241,7 +232,7 @@ def _crockery(rng: Rng, library: AssetLibrary, kind: PileKind, widest: float) ->
         poses = [_rotated(rng, spread=spread, shift=shift) for _ in range(count)]
         poses = poses[: max(FEWEST, int(TALLEST / height))]
         count = len(poses)
-        pile = _pile(kind, [found[int(number)]] * count, stack([_solid(mesh)] * count, poses, [_plane()]))
+        pile = _pile(kind, [found[int(number)]] * count, stack([_solid(mesh)] * count, poses, [_plane()]).poses)
         if len(pile.members) >= FEWEST and pile.members[1].pile_from_body[2, 3] < _NESTS * height:
             return pile
     raise PlacementError(f"no {kind} installed that go into one another; run `multilight assets fetch`")
@@ -253,8 +244,8 @@ def _rotated(rng: Rng, *, spread: float, shift: float) -> Float64:
     return pose_at(rng.normal(0.0, shift, 2), 0.0, angle)
 
 
-def _pile(kind: PileKind, chosen: Sequence[tuple[AssetInfo, Mesh]], settled: Settled) -> Pile:
-    pairs = list(zip(chosen, settled.poses, strict=True))
+def _pile(kind: PileKind, chosen: Sequence[tuple[AssetInfo, Mesh]], poses: Sequence[Float64 | None]) -> Pile:
+    pairs = list(zip(chosen, poses, strict=True))
     members = tuple(Member(info, mesh, pose) for (info, mesh), pose in pairs if pose is not None)
     return Pile(kind, members, tuple(info.id for (info, _), pose in pairs if pose is None))
 
