@@ -17,7 +17,6 @@ from multilight.lights.photometry.angular_size import angular_diameter
 from multilight.lights.spec import EmissiveLight
 from multilight.model.data.dataset import MultiLightDataset, make_samples
 from multilight.model.data.lighting import lit_conditions
-from multilight.model.data.plan import Draw
 from multilight.model.data.settings import SampleSettings
 from multilight.model.evaluation.settings import CaseSettings
 from multilight.scenes.appearance import is_mirror, material_class
@@ -115,16 +114,10 @@ def _drawn_group(samples: MultiLightDataset, split: Split, number: int) -> Group
     views = [samples.source.view(draw.place.scene, view) for view in draw.views]
     again = samples.plan.draw(0, number).rng  # the object's lighting is drawn first
     _, base = lit_conditions(again, views, 2)
-    return _group(record, split, draw, base, views, samples.settings)
-
-
-def _group(
-    record: SceneRecord, split: Split, draw: Draw, base: Float32, views: list[PackedView], settings: SampleSettings
-) -> Group:
     cases, cameras, depths = [], [], []
-    for view, sample in zip(draw.views, make_samples(views, draw, settings), strict=True):
+    for view, sample in zip(draw.views, make_samples(views, draw, samples.settings), strict=True):
         arrays = {name: values.numpy() for name, values in sample.items()}
-        if arrays["mask"].sum() < settings.visible:
+        if arrays["mask"].sum() < samples.settings.visible:
             continue
         name = f"scene {record.index}, {draw.place.object}, view {view}"
         pictures: dict[str, Any] = {

@@ -161,12 +161,9 @@ def _keep(shown: Shown, found: Evaluation, *, first: bool) -> None:
     if first and len(found.examples) < EXAMPLES and (not counts or min(counts) < SHOWN_OF_SUBSET):
         found.examples.append(shown)
     if shown.scores:
-        last = found.methods[-1]
-        found.worst = sorted([*found.worst, shown], key=lambda each: _judged(each.scores[last]))[:WORST]
-
-
-def _judged(scores: Scores) -> float:
-    return (scores.get(JUDGED_BY) or scores["image"])["PSNR"]
+        last, every = found.methods[-1], [*found.worst, shown]
+        judged = [(each.scores[last].get(JUDGED_BY) or each.scores[last]["image"])["PSNR"] for each in every]
+        found.worst = [every[int(i)] for i in np.argsort(judged, kind="stable")[:WORST]]
 
 
 def _compare_views(group: Group, pictures: Sequence[Mapping[str, Float32]], found: Evaluation) -> None:

@@ -47,17 +47,13 @@ def raise_some(rng: Rng, library: AssetLibrary, items: list[Standing], fraction:
     result = []
     for item in items:
         reach = float(np.linalg.norm(item.footprint, axis=1).max()) + EDGE
-        fit = [info for info in plinths if info.size is not None and _inner(info.size) >= reach]
+        # What a plinth surely covers is a hexagon's inner circle.
+        fit = [info for info in plinths if info.size and 0.5 * min(info.size[:2]) * np.cos(np.pi / 6) >= reach]
         if fit and item.info.role == "object" and item.height <= TALLEST and rng.random() < fraction:
             result.append(_on(item, pick(rng, fit[:FITTING]), library))
         else:
             result.append(Raised(item))
     return result
-
-
-def _inner(size: tuple[float, float, float]) -> float:
-    """Return a radius [m] that a plinth of that size surely covers: that of a hexagon's inner circle."""
-    return 0.5 * min(size[0], size[1]) * float(np.cos(np.pi / 6))
 
 
 def _on(item: Standing, plinth: AssetInfo, library: AssetLibrary) -> Raised:

@@ -161,7 +161,10 @@ def insert(rng: Rng, objects: Objects, kind: RoomType, count: int, glows: bool) 
     Returns their names. Raises `PlacementError` where the furniture leaves no room for them.
     """
     focus, near = _stage(rng, objects, kind)
-    small, large, lamps = _insertable(objects.plan, kind)
+    plan = objects.plan
+    small = [i for i in _infos(plan, (*_COMMON, *_HABITS[kind]), INSERTED) if i.size and sorted(i.size)[1] >= THIN]
+    large = _infos(plan, _ON_FLOOR, FLOOR_INSERTED)
+    lamps = [info for info in _infos(plan, _GLOWING, INSERTED) if info.emissive_part]
     names: list[str] = []
     for attempt in range(60 * count):
         if len(names) == count:
@@ -180,13 +183,6 @@ def insert(rng: Rng, objects: Objects, kind: RoomType, count: int, glows: bool) 
             name = objects.put(rng, info, spot, glows=lit)
         names += [] if name is None else [name]
     raise PlacementError(f"only {len(names)} of {count} objects found a place in a {kind} room")
-
-
-def _insertable(plan: Plan, kind: RoomType) -> tuple[list[AssetInfo], list[AssetInfo], list[AssetInfo]]:
-    """List what may be inserted: on furniture, on the floor, and what can glow."""
-    small = _infos(plan, (*_COMMON, *_HABITS[kind]), INSERTED)
-    lamps = [info for info in _infos(plan, _GLOWING, INSERTED) if info.emissive_part]
-    return [i for i in small if i.size and sorted(i.size)[1] >= THIN], _infos(plan, _ON_FLOOR, FLOOR_INSERTED), lamps
 
 
 def _stage(rng: Rng, objects: Objects, kind: RoomType) -> tuple[Spot, list[Spot]]:
