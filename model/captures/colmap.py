@@ -86,7 +86,10 @@ def find_poses(pictures: Path) -> pycolmap.Reconstruction:
         )
         pycolmap.match_exhaustive(database)
         for demands in DEMANDS:
-            made = pycolmap.incremental_mapping(database, pictures, Path(work), _options(demands))
+            options = pycolmap.IncrementalPipelineOptions(min_model_size=2, multiple_models=False, random_seed=SEED)
+            for name, value in demands.items():
+                setattr(options.mapper, name, value)
+            made = pycolmap.incremental_mapping(database, pictures, Path(work), options)
             best = max([best, *made.values()], key=_placed)
             if _placed(best) == len(names):
                 break
@@ -100,13 +103,6 @@ def find_poses(pictures: Path) -> pycolmap.Reconstruction:
 
 def _placed(found: pycolmap.Reconstruction | None) -> int:
     return 0 if found is None else int(found.num_reg_images())
-
-
-def _options(demands: dict[str, float]) -> pycolmap.IncrementalPipelineOptions:
-    options = pycolmap.IncrementalPipelineOptions(min_model_size=2, multiple_models=False, random_seed=SEED)
-    for name, value in demands.items():
-        setattr(options.mapper, name, value)
-    return options
 
 
 def _capture(folder: Path, pictures: Path, found: pycolmap.Reconstruction, *, max_side: int, every: int) -> Capture:

@@ -31,13 +31,11 @@ PATIO_EDGE = 0.1  # left free, on both edges together
 GLOWING_INSERTED = 0.85  # an object that glows is an insertable one
 AS_IT_COMES = 0.6  # an object keeps its own resting pose, besides its chance among them
 FURNITURE = frozenset({"bench", "chair", "floor_plant", "planter", "stool"})
-_THINGS = frozenset(
-    {
-        "bag", "ball", "basket", "bottle", "box", "bowl", "bucket", "candle", "crate", "figurine", "fruit", "hat",
-        "jar", "jug", "kettle", "lamp", "lantern", "mug", "neon", "night light", "plant", "shoe", "sign", "stone",
-        "tool", "toy", "vase", "watering can",
-    }
-)  # fmt: skip
+_THINGS = frozenset({
+    "bag", "ball", "basket", "bottle", "box", "bowl", "bucket", "candle", "crate", "figurine", "fruit", "hat",
+    "jar", "jug", "kettle", "lamp", "lantern", "mug", "neon", "night light", "plant", "shoe", "sign", "stone",
+    "tool", "toy", "vase", "watering can",
+})  # fmt: skip
 _FINISH = {"grass": "fabric", "deck": "wood", "sand": "rough stone", "asphalt": "rough stone", "gravel": "rough stone"}
 
 

@@ -33,7 +33,8 @@ def sample_spheres(streams: Streams, *, index: int, width: int, height: int, vie
             role="object",
             category="sphere",
             geometry=Sphere(radius=radius),
-            materials=(_diffuse(_vivid(rng)),),
+            # Of any hue, neither black nor brighter than paint.
+            materials=(_diffuse(colorsys.hsv_to_rgb(rng.uniform(), rng.uniform(0.2, 0.85), rng.uniform(0.35, 0.85))),),
             world_from_body=matrix4(translation((x, y, radius))),
             insertable=i < INSERTABLE,
         )
@@ -60,8 +61,7 @@ def _place(rng: Rng, count: int) -> list[tuple[float, float, float]]:
         radius = float(rng.uniform(0.04, 0.11))
         x, y = (float(v) for v in rng.uniform(-spread, spread, 2))
         # Two spheres on the ground touch where the distance between their feet is 2 sqrt(r1 r2).
-        clear = all(math.hypot(x - u, y - v) >= 2.0 * math.sqrt(radius * r) + _GAP for u, v, r in placed)
-        if clear:
+        if all(math.hypot(x - u, y - v) >= 2.0 * math.sqrt(radius * r) + _GAP for u, v, r in placed):
             placed.append((x, y, radius))
         else:
             spread += 0.005  # each refusal widens the field a little, so that the loop ends
@@ -71,11 +71,6 @@ def _place(rng: Rng, count: int) -> list[tuple[float, float, float]]:
 def _diffuse(colour: Rgb) -> Material:
     """Return a plain diffuse material: an index of refraction of 1 leaves the principled model no gloss."""
     return Material(name="diffuse", base_color=colour, roughness=1.0, ior=1.0)
-
-
-def _vivid(rng: Rng) -> Rgb:
-    """Draw a surface colour of any hue, neither black nor brighter than paint."""
-    return colorsys.hsv_to_rgb(rng.uniform(), rng.uniform(0.2, 0.85), rng.uniform(0.35, 0.85))
 
 
 def _arc(rng: Rng, spheres: np.ndarray, *, width: int, height: int, views: int) -> tuple[Camera, ...]:

@@ -199,12 +199,14 @@ def _is_hollow(mesh: Mesh) -> bool:
 
 
 def _heap(rng: Rng, library: AssetLibrary) -> Pile:
-    """Pour small toys on one spot."""
+    """Pour small toys on one spot; the heap's centre stands over the origin."""
     toys = _suitable(library, _TOYS, (0.025, 0.11))
     chosen = [_pick(rng, toys, "toys") for _ in range(int(rng.integers(8, 14)))]
     region = Region((0.0, 0.0), WIDEST / 2)
     settled = settle(rng, [_solid(m) for _, m in chosen], [_plane()], region, spread=0.05 * WIDEST)
-    return _centred(_pile("toys", chosen, settled.poses))
+    found = [pose[:2, 3] for pose in settled.poses if pose is not None]
+    shift = translation((*-np.mean(found, axis=0), 0.0)) if found else np.eye(4)
+    return _pile("toys", chosen, [None if pose is None else shift @ pose for pose in settled.poses])
 
 
 def _books(rng: Rng, library: AssetLibrary) -> Pile:
@@ -248,13 +250,3 @@ def _pile(kind: PileKind, chosen: Sequence[tuple[AssetInfo, Mesh]], poses: Seque
     pairs = list(zip(chosen, poses, strict=True))
     members = tuple(Member(info, mesh, pose) for (info, mesh), pose in pairs if pose is not None)
     return Pile(kind, members, tuple(info.id for (info, _), pose in pairs if pose is None))
-
-
-def _centred(pile: Pile) -> Pile:
-    """Shift a pile so that its centre stands over the origin."""
-    if not pile.members:
-        return pile
-    centre = np.mean([m.pile_from_body[:2, 3] for m in pile.members], axis=0)
-    shift = translation((*-centre, 0.0))
-    members = tuple(Member(m.info, m.mesh, shift @ m.pile_from_body) for m in pile.members)
-    return Pile(pile.kind, members, pile.dropped)

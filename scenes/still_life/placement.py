@@ -1,6 +1,6 @@
 """Standing objects on a table: resting poses, stability, and a clustered still life without interpenetration."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -113,21 +113,16 @@ def resting_poses(info: AssetInfo, mesh: Mesh) -> list[Standing]:
     standing = [pose for rotation in rotations if (pose := _standing(info, mesh, hull, centre, rotation)) is not None]
     if standing:
         return standing
-    tipped = (_standing(info, mesh, hull, centre, rotation) for rotation in _tipping(hull))
+    normals = np.asarray(hull.face_normals)
+    flattest = normals[np.argsort(normals[:, 2])[:TIPS]]
+    tilted = flattest[flattest[:, 2] < -np.cos(TIPPING)]  # faces that all but lie on the ground already
+    tipped = (_standing(info, mesh, hull, centre, _facing_down(normal)) for normal in tilted)
     return [pose for pose in tipped if pose is not None][:1]
 
 
 def _facing_down(normal: Float64) -> Float64:
     """Return the rotation (3, 3) that makes a face of that normal (3,) look down."""
     return np.asarray(Rotation.align_vectors([[0, 0, -1]], [normal])[0].as_matrix())
-
-
-def _tipping(hull: Trimesh) -> Iterator[Float64]:
-    """Yield the rotations (3, 3) that lay a face on the ground which all but lies there already, the flattest first."""
-    normals = np.asarray(hull.face_normals)
-    for face in np.argsort(normals[:, 2])[:TIPS]:
-        if normals[face, 2] < -np.cos(TIPPING):
-            yield _facing_down(normals[face])
 
 
 def _standing(info: AssetInfo, mesh: Mesh, hull: Trimesh, centre: Float64, rotation: Float64) -> Standing | None:

@@ -32,13 +32,11 @@ INSERTED, FLOOR_INSERTED, THIN = (0.15, 0.5), (0.24, 0.95), 0.05  # their longes
 SURFACES, OPEN = (0.25, 1.35), 0.2  # heights of surfaces that objects are inserted on, and what is free above
 FOCUS, NEAR = (0.09, 0.6), 0.05  # area of the first of them: at least, and what makes it no likelier; of those near
 LITTER, FLOOR_LITTER = (0.03, 0.5), (0.12, 0.8)  # longest sides of what else lies about
-_BEARERS = frozenset(
-    {
-        "table", "round", "rectangular", "trestle", "bistro", "coffee_table", "coffee", "desk", "sideboard",
-        "nightstand", "counter", "chest", "bookcase", "shelf", "base_unit_a", "base_unit_b", "sink_unit_a",
-        "sink_unit_b", "bench", "piano", "radiator", "washer", "fireplace", "workbench",
-    }
-)  # fmt: skip
+_BEARERS = frozenset({
+    "table", "round", "rectangular", "trestle", "bistro", "coffee_table", "coffee", "desk", "sideboard",
+    "nightstand", "counter", "chest", "bookcase", "shelf", "base_unit_a", "base_unit_b", "sink_unit_a",
+    "sink_unit_b", "bench", "piano", "radiator", "washer", "fireplace", "workbench",
+})  # fmt: skip
 _SHELVED = frozenset({"bookcase", "shelf"})
 _COMMON = ("plant", "vase", "bowl", "book", "lamp", "box", "clock", "figurine", "jar", "fruit", "candle", "frame")
 _HABITS: dict[RoomType, tuple[str, ...]] = {
@@ -51,12 +49,10 @@ _HABITS: dict[RoomType, tuple[str, ...]] = {
     "study": ("stationery", "electronics", "paper", "glasses", "camera", "mug", "watch", "pawn", "tool", "die"),
 }  # fmt: skip
 _GLOWING = ("lamp", "candle", "lantern", "night light", "monitor", "electronics", "tablet", "sign", "neon", "bulb")
-_ON_FLOOR = frozenset(
-    {
-        "ball", "bag", "shoe", "box", "plant", "toy", "vase", "floor_plant", "bin", "basket", "suitcase", "speaker",
-        "guitar", "animal", "rocking_horse", "trunk", "stool", "pouf", "large_vase",
-    }
-)  # fmt: skip
+_ON_FLOOR = frozenset({
+    "ball", "bag", "shoe", "box", "plant", "toy", "vase", "floor_plant", "bin", "basket", "suitcase", "speaker",
+    "guitar", "animal", "rocking_horse", "trunk", "stool", "pouf", "large_vase",
+})  # fmt: skip
 
 
 @dataclass(frozen=True)

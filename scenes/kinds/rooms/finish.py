@@ -26,12 +26,10 @@ _TEXTURES = ("base_color_texture", "normal_texture", "roughness_texture")
 _BROWN = {"base_color": (0.36, 0.24, 0.14), "roughness": 0.5}
 """Wood where no picture of it can lie."""
 UPHOLSTERED = frozenset({"sofa", "armchair", "bed", "pouf", "office_chair"})
-CASEWORK = frozenset(
-    {
-        "wardrobe", "chest", "bookcase", "nightstand", "sideboard", "desk", "table", "coffee_table", "base_unit_a",
-        "base_unit_b", "sink_unit_a", "sink_unit_b", "wall_unit_a", "wall_unit_b", "tall_unit_a", "counter", "chair",
-    }
-)  # fmt: skip
+CASEWORK = frozenset({
+    "wardrobe", "chest", "bookcase", "nightstand", "sideboard", "desk", "table", "coffee_table", "base_unit_a",
+    "base_unit_b", "sink_unit_a", "sink_unit_b", "wall_unit_a", "wall_unit_b", "tall_unit_a", "counter", "chair",
+})  # fmt: skip
 
 
 @dataclass(frozen=True)
