@@ -7,7 +7,8 @@ import numpy as np
 from multilight.lights.photometry.colour import gel_rgb, random_gel, temperature_to_rgb
 from multilight.lights.photometry.radiometry import rgb_from_scalar
 from multilight.lights.spec import LightingCondition, LightRig
-from multilight.scenes.frozen import Rgb
+from multilight.scenes.frozen import Rgb, triple
+from multilight.scenes.streams import Rng
 
 GAIN = 3.0
 """Gains are drawn between `1 / GAIN` and `GAIN`, evenly in their logarithm."""
@@ -16,7 +17,7 @@ EXPOSURE = 0.7
 WHITE: Rgb = (1.0, 1.0, 1.0)
 
 
-def sample_conditions(rng: np.random.Generator, rig: LightRig, count: int = 12) -> tuple[LightingCondition, ...]:
+def sample_conditions(rng: Rng, rig: LightRig, count: int = 12) -> tuple[LightingCondition, ...]:
     """Draw `count` different conditions: `all` with unit gains, each light alone, pairs, then random mixtures.
 
     Names say what is on: `all`, `key_only`, `key_and_fill`, `mix_1`. Gains, tints and exposure offsets vary in all
@@ -38,30 +39,28 @@ def sample_conditions(rng: np.random.Generator, rig: LightRig, count: int = 12) 
     return tuple(conditions[:count])
 
 
-def random_condition(rng: np.random.Generator, rig: LightRig, name: str) -> LightingCondition:
+def random_condition(rng: Rng, rig: LightRig, name: str) -> LightingCondition:
     """Draw one condition: every light is on with a chance of three in four, at least one is."""
     on = rng.random(len(rig.names)) < 0.75
     on[int(rng.integers(len(on)))] = True
     return _condition(rng, name, tuple(n for n, lit in zip(rig.names, on, strict=True) if lit))
 
 
-def _condition(rng: np.random.Generator, name: str, lit: tuple[str, ...]) -> LightingCondition:
+def _condition(rng: Rng, name: str, lit: tuple[str, ...]) -> LightingCondition:
     """Draw gains for the lights that are on."""
     gains = {}
     for light in lit:
         gain = float(np.exp(rng.uniform(-np.log(GAIN), np.log(GAIN))))
-        tint = _tint(rng)
-        gains[light] = (gain * tint[0], gain * tint[1], gain * tint[2])
+        gains[light] = triple(gain * channel for channel in _tint(rng))
     return LightingCondition(name=name, gains=gains, exposure_ev=round(float(rng.uniform(-EXPOSURE, EXPOSURE)), 3))
 
 
-def _tint(rng: np.random.Generator) -> Rgb:
+def _tint(rng: Rng) -> Rgb:
     """Draw a change of colour at constant luminance of white: none, another colour temperature, or a pale gel."""
     kind = rng.random()
     if kind < 0.45:
         return WHITE
     if kind < 0.92:
         new, old = (temperature_to_rgb(1.0 / float(rng.uniform(1 / 8000, 1 / 3000))) for _ in range(2))
-        ratio = [float(np.clip(a / max(b, 1e-3), 0.1, 10.0)) for a, b in zip(new, old, strict=True)]
-        return rgb_from_scalar(1.0, (ratio[0], ratio[1], ratio[2]))
+        return rgb_from_scalar(1.0, triple(np.clip(np.divide(new, np.maximum(old, 1e-3)), 0.1, 10.0)))
     return gel_rgb(random_gel(rng), float(rng.uniform(0.3, 0.8)))

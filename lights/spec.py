@@ -12,7 +12,7 @@ from typing import Annotated, ClassVar, Literal, Self
 from pydantic import BeforeValidator, ConfigDict, Field, PositiveFloat, model_validator
 
 from multilight.scenes.colour import luminance
-from multilight.scenes.frozen import Frozen, Matrix4, Rgb, Slug, Vector3
+from multilight.scenes.frozen import Frozen, Matrix4, Rgb, Slug, Vector3, triple
 from multilight.scenes.spec import Texture
 
 NonNegative = Annotated[float, Field(ge=0)]
@@ -39,8 +39,7 @@ class _Light(Frozen):
     @property
     def amount(self) -> Rgb:
         """What it carries by channel, in the unit of its quantity."""
-        red, green, blue = getattr(self, self.quantity)
-        return red, green, blue
+        return triple(getattr(self, self.quantity))
 
     @property
     def grey(self) -> float:
@@ -54,8 +53,7 @@ class _Light(Frozen):
 
     def scaled(self, factor: float) -> Self:
         """Return the same light `factor` times as strong."""
-        red, green, blue = self.amount
-        return self.model_copy(update={self.quantity: (red * factor, green * factor, blue * factor)})
+        return self.model_copy(update={self.quantity: triple(channel * factor for channel in self.amount)})
 
 
 class EnvironmentLight(_Light):
@@ -138,8 +136,7 @@ class AreaLight(_Light):
     @property
     def position(self) -> Vector3:
         """Its centre."""
-        x, y, z = (row[3] for row in self.world_from_light[:3])
-        return x, y, z
+        return triple(row[3] for row in self.world_from_light[:3])
 
     @property
     def area(self) -> float:

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from multilight.scenes.frozen import Rgb
+from multilight.scenes.frozen import Rgb, triple
 
 LUMINANCE_WEIGHTS = (0.2126, 0.7152, 0.0722)
 """Relative luminance of the Rec.709 primaries under D65 (ITU-R BT.709-6, item 3.2)."""
@@ -36,5 +36,4 @@ def srgb_decode(encoded: ArrayLike) -> NDArray[np.floating]:
 
 def linear_from_hex(colour: str) -> Rgb:
     """Decode six hex digits of sRGB to linear Rec.709."""
-    red, green, blue = srgb_decode([int(colour[i : i + 2], 16) / 255 for i in (0, 2, 4)])
-    return float(red), float(green), float(blue)
+    return triple(srgb_decode([int(colour[i : i + 2], 16) / 255 for i in (0, 2, 4)]))

@@ -2,7 +2,8 @@
 
 import hashlib
 import json
-from typing import Annotated, Self
+from collections.abc import Iterable
+from typing import Annotated, Self, SupportsFloat
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -16,6 +17,12 @@ UnitFloat = Annotated[float, Field(ge=0, le=1)]
 Row4 = tuple[float, float, float, float]
 Matrix4 = tuple[Row4, Row4, Row4, Row4]
 Slug = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=40)]
+
+
+def triple(values: Iterable[SupportsFloat]) -> Vector3:
+    """Return three numbers, such as an array (3,), as the tuple that specifications hold."""
+    first, second, third = map(float, values)
+    return first, second, third
 
 
 class Frozen(BaseModel):

@@ -6,10 +6,12 @@ from dataclasses import dataclass
 from typing import Generic, Self, TypeVar, cast
 
 import numpy as np
-from pydantic import ConfigDict, model_validator
+from numpy.typing import ArrayLike
+from pydantic import model_validator
 
-from multilight.scenes.frozen import Frozen
+from multilight.scenes.frozen import Settings
 
+Rng = np.random.Generator
 K = TypeVar("K")
 """What is drawn."""
 
@@ -25,31 +27,32 @@ class Streams:
     scene: int
     attempt: int = 0
 
-    def __call__(self, stage: str) -> np.random.Generator:
+    def __call__(self, stage: str) -> Rng:
         """Return a fresh generator for a stage such as `placement` or `placement/3`."""
         key = zlib.crc32(stage.encode())
         return np.random.Generator(np.random.PCG64(np.random.SeedSequence([self.seed, self.scene, self.attempt, key])))
 
 
-def generator_of(name: str) -> np.random.Generator:
+def generator_of(name: str) -> Rng:
     """Return the generator that goes with a name, always in the same state."""
     return np.random.Generator(np.random.PCG64(zlib.crc32(name.encode())))
 
 
-def pick(rng: np.random.Generator, choices: Sequence[K]) -> K:
-    """Draw one of several things, each as likely as the others."""
-    return choices[int(rng.integers(len(choices)))]
+def pick(rng: Rng, choices: Sequence[K], weights: ArrayLike | None = None) -> K:
+    """Draw one of several things, each as likely as the others, or in proportion to its weight."""
+    if weights is None:
+        return choices[int(rng.integers(len(choices)))]
+    return choices[int(rng.choice(len(choices), p=np.asarray(weights) / np.sum(weights)))]
 
 
-def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+def log_uniform(rng: Rng, low: float, high: float) -> float:
     """Draw between two positive numbers, evenly in their logarithm."""
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
-def weighted_pick(rng: np.random.Generator, weights: Mapping[K, float]) -> K:
+def weighted_pick(rng: Rng, weights: Mapping[K, float]) -> K:
     """Draw a key with a probability in proportion to its weight."""
-    heights = np.array(list(weights.values()))
-    return list(weights)[int(rng.choice(len(heights), p=heights / heights.sum()))]
+    return pick(rng, list(weights), list(weights.values()))
 
 
 def pick_at(place: float, weights: Mapping[K, float]) -> K:
@@ -62,10 +65,8 @@ def pick_at(place: float, weights: Mapping[K, float]) -> K:
     return next(key for key, weight in reversed(list(weights.items())) if weight > 0)
 
 
-class Weights(Frozen, Generic[K]):
+class Weights(Settings, Generic[K]):
     """How often each of several kinds comes, relative to the others: a field each, not all of them 0."""
-
-    model_config = ConfigDict(use_attribute_docstrings=True)
 
     @model_validator(mode="after")
     def _some_weight(self) -> Self:
@@ -77,7 +78,7 @@ class Weights(Frozen, Generic[K]):
         """Return the weight of each kind."""
         return cast(dict[K, float], self.model_dump())
 
-    def draw(self, rng: np.random.Generator) -> K:
+    def draw(self, rng: Rng) -> K:
         """Draw a kind."""
         return weighted_pick(rng, self.weights())
 

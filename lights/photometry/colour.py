@@ -12,7 +12,9 @@ import numpy as np
 from multilight.lights.photometry.radiometry import rgb_from_scalar
 from multilight.scenes.arrays import Float64
 from multilight.scenes.colour import srgb_decode
-from multilight.scenes.frozen import Rgb
+from multilight.scenes.frozen import Rgb, triple
+from multilight.scenes.numbers import smoothstep
+from multilight.scenes.streams import Rng
 
 COLDEST, HOTTEST = 1000.0, 25000.0
 """Range of colour temperatures in K: below, Rec.709 shows red only; above, the CIE daylight formula ends."""
@@ -55,8 +57,7 @@ def temperature_to_xy(kelvin: float) -> tuple[float, float]:
         raise ValueError(f"colour temperature {kelvin} K is outside {COLDEST:.0f}..{HOTTEST:.0f} K")
     colour, kelvin = _colour(), float(kelvin)
     t = (kelvin - PLANCKIAN_BELOW) / (DAYLIGHT_ABOVE - PLANCKIAN_BELOW)
-    t = min(max(t, 0.0), 1.0)
-    weight = t * t * (3.0 - 2.0 * t)
+    weight = float(smoothstep(min(max(t, 0.0), 1.0)))
     xy = np.zeros(2)
     if weight < 1.0:
         spectrum = colour.sd_blackbody(kelvin, colour.SpectralShape(360, 780, 1))
@@ -76,8 +77,7 @@ def temperature_to_rgb(kelvin: float) -> Rgb:
     x, y = temperature_to_xy(kelvin)
     xyz = np.array([x / y, 1.0, (1.0 - x - y) / y])
     matrix = _colour().RGB_COLOURSPACES["ITU-R BT.709"].matrix_XYZ_to_RGB
-    red, green, blue = (max(float(channel), 0.0) for channel in matrix @ xyz)
-    return rgb_from_scalar(1.0, (red, green, blue))
+    return rgb_from_scalar(1.0, triple(np.maximum(matrix @ xyz, 0.0)))
 
 
 def temperature_of(colour: Rgb) -> tuple[float, float]:
@@ -108,13 +108,11 @@ def gel_rgb(name: str, density: float = 1.0) -> Rgb:
     """
     if name not in GELS:
         raise ValueError(f"no gel {name!r}; there are {', '.join(sorted(GELS))}")
-    red, green, blue = (float(channel) for channel in srgb_decode(np.array(GELS[name]) / 255.0))
-    red, green, blue = rgb_from_scalar(1.0, (red, green, blue))
-    pale = 1.0 - density
-    return pale + density * red, pale + density * green, pale + density * blue
+    full = rgb_from_scalar(1.0, triple(srgb_decode(np.array(GELS[name]) / 255.0)))
+    return triple((1.0 - density) + density * channel for channel in full)
 
 
-def random_gel(rng: np.random.Generator) -> str:
+def random_gel(rng: Rng) -> str:
     """Draw the name of a gel, each as likely as any other."""
     return str(rng.choice(sorted(GELS)))
 

@@ -23,6 +23,9 @@ SKY_ROWS = 32
 GLOW_DISTANCE = 0.2
 """Where the glow of an emissive body is measured: on the table, this far [m] from its centre."""
 
+_ANGLES = np.linspace(0.0, 2 * np.pi, 8, endpoint=False)
+_RING = np.stack([np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(8)], axis=-1)
+"""Eight directions around, (8, 3)."""
 Weight = Callable[[Float64], Float64]
 """Weighs light by the cosine of its direction to the vertical."""
 
@@ -72,10 +75,8 @@ class LightMeter:
     @cached_property
     def probes(self) -> Float64:
         """Points just above the still life and around it on the table, that a lamp must mostly see, (N, 3)."""
-        angle = np.linspace(0.0, 2 * np.pi, 8, endpoint=False)
-        ring = np.stack([np.cos(angle), np.sin(angle), np.zeros(8)], axis=-1)
-        around = self.foot + 0.6 * self.radius * ring + np.array([0.0, 0.0, 0.02])
-        above = self.foot + 0.4 * self.radius * ring + np.array([0.0, 0.0, self.top + 0.02])
+        around = self.foot + 0.6 * self.radius * _RING + np.array([0.0, 0.0, 0.02])
+        above = self.foot + 0.4 * self.radius * _RING + np.array([0.0, 0.0, self.top + 0.02])
         return np.concatenate([around, above])
 
     def open_fraction(self, directions: Float64) -> Float64:
@@ -95,7 +96,7 @@ class LightMeter:
         The objects' own shadows are left out; walls count for the environment. For emissive bodies it is the
         mean over a circle of `GLOW_DISTANCE` about the body, on the surface.
         """
-        return self._metered(light, _plate)
+        return self._metered(light, lambda cosine: np.maximum(cosine, 0.0))
 
     def dome_irradiance(self, light: Light) -> float:
         """Return what a photographer's dome meter reads at `foot`, in the unit of `table_irradiance`.
@@ -103,7 +104,7 @@ class LightMeter:
         It weighs light from an angle to the vertical by (1 + cos) / 2 (a cardioid, as incident-light meters have),
         so that a low sun counts for the upright surfaces that it lights.
         """
-        return self._metered(light, _dome)
+        return self._metered(light, lambda cosine: (1.0 + cosine) / 2.0)
 
     def _metered(self, light: Light, weight_of: Weight) -> float:
         match light:
@@ -127,7 +128,8 @@ class LightMeter:
         offset = np.array(light.direction)
         angle = float(np.arccos(np.clip(leaving @ offset / np.linalg.norm(offset), -1.0, 1.0)))
         if isinstance(light, PointLight):
-            return 1.0 if light.profile is None else profile_at(light.profile, angle)
+            profile = light.profile or (1.0, 1.0)
+            return float(np.interp(angle, np.linspace(0.0, np.pi, len(profile)), profile))
         mean = 1.0 if light.gobo is None else image_mean(self.library, light.gobo)
         edge = np.cos(light.half_angle)
         t = np.clip((np.cos(angle) - edge) / max((1.0 - edge) * light.blend, 1e-9), 0.0, 1.0)
@@ -163,10 +165,8 @@ class LightMeter:
         a, b, c = np.moveaxis(triangles, 1, 0)
         centre = (a + b + c) / 3
         normal = triangle_crosses(triangles) / 2
-        angle = np.linspace(0.0, 2 * np.pi, 8, endpoint=False)
-        ring = np.stack([np.cos(angle), np.sin(angle), np.zeros(8)], axis=-1)
         below = np.array([*centre.mean(axis=0)[:2], self.foot[2]])
-        offset = (below + GLOW_DISTANCE * ring)[:, None] - centre
+        offset = (below + GLOW_DISTANCE * _RING)[:, None] - centre
         distance = np.linalg.norm(offset, axis=-1)
         emitted = np.maximum((offset * normal).sum(axis=-1), 0.0) / distance
         received = np.maximum(-offset[..., 2], 0.0) / distance
@@ -200,20 +200,7 @@ def map_directions(rotation: float) -> tuple[Float64, Float64]:
     return np.concatenate([flat, height], axis=-1), solid_angle
 
 
-def profile_at(profile: tuple[float, ...], angle: float) -> float:
-    """Return a point light's relative intensity at an angle [rad] from its direction."""
-    return float(np.interp(angle, np.linspace(0.0, np.pi, len(profile)), profile))
-
-
 def image_mean(library: AssetLibrary, image: str) -> float:
     """Return the mean of a gobo's linear transmission."""
     with Image.open(library.texture_path(image)) as picture:
         return float(np.asarray(picture.convert("L"), np.float64).mean() / 255.0)
-
-
-def _plate(cosine: Float64) -> Float64:
-    return np.maximum(cosine, 0.0)
-
-
-def _dome(cosine: Float64) -> Float64:
-    return (1.0 + cosine) / 2.0

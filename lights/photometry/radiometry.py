@@ -25,17 +25,6 @@ def photometric_from_watts(value: float) -> float:
     return _not_negative("radiometric value", value) * LUMINOUS_EFFICACY
 
 
-def spot_intensity_from_flux(flux: float, half_angle: float) -> float:
-    """Return the intensity [W/sr] of a flux [W] spread evenly over a cone: I = flux / (2 pi (1 - cos(half_angle))).
-
-    `half_angle` [rad] in (0, pi]. For a soft edge divide by `spot_solid_angle` instead.
-    """
-    if not 0.0 < half_angle <= math.pi:
-        raise ValueError(f"half angle {half_angle} rad is outside (0, pi]")
-    # 1 - cos written as 2 sin² keeps its digits for narrow cones.
-    return _not_negative("flux", flux) / (4.0 * math.pi * math.sin(half_angle / 2.0) ** 2)
-
-
 def spot_solid_angle(half_angle: float, blend: float = 0.0) -> float:
     """Return the solid angle [sr] that times the axial intensity gives the flux of a `lights.spec.SpotLight`.
 
@@ -43,6 +32,7 @@ def spot_solid_angle(half_angle: float, blend: float = 0.0) -> float:
     """
     if not 0.0 < half_angle <= math.pi or not 0.0 <= blend <= 1.0:
         raise ValueError(f"half angle {half_angle} rad must be in (0, pi] and blend {blend} in [0, 1]")
+    # 1 - cos written as 2 sin² keeps its digits for narrow cones.
     return 4.0 * math.pi * math.sin(half_angle / 2.0) ** 2 * (1.0 - blend / 2.0)
 
 
@@ -60,25 +50,6 @@ def rgb_from_scalar(value: float, colour: Rgb) -> Rgb:
         raise ValueError(f"colour {colour} needs channels of 0 or more and one above 0")
     scale = _not_negative("value", value) / brightness
     return (colour[0] * scale, colour[1] * scale, colour[2] * scale)
-
-
-# --- what lamps are sold by, as the coloured quantities that `lights.spec` holds ---
-
-
-def intensity_from_lumens(lumens: float, colour: Rgb, solid_angle: float = 4.0 * math.pi) -> Rgb:
-    """Return the `intensity` [W/sr] of a point or spot of so many lumens, in a colour.
-
-    `solid_angle` [sr] is what the lamp shines into, weighted by its distribution: a whole sphere, or what
-    `spot_solid_angle` and `scenes.assets.formats.ies.profile_flux` return.
-    """
-    if solid_angle <= 0.0:
-        raise ValueError(f"solid angle {solid_angle} sr must be above 0")
-    return rgb_from_scalar(watts_from_photometric(lumens) / solid_angle, colour)
-
-
-def area_radiance_from_lumens(lumens: float, area: float, colour: Rgb) -> Rgb:
-    """Return the `radiance` [W/(m² sr)] of a one-sided Lambertian lamp of so many lumens and m², in a colour."""
-    return rgb_from_scalar(area_radiance_from_flux(watts_from_photometric(lumens), area), colour)
 
 
 def _not_negative(what: str, value: float) -> float:

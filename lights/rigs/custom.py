@@ -8,7 +8,6 @@ import numpy as np
 from multilight.lights.photometry.irradiance import LightMeter
 from multilight.lights.photometry.radiometry import watts_from_photometric
 from multilight.lights.rigs.design import RigDesign
-from multilight.lights.rigs.lamps import vector
 from multilight.lights.rigs.tabletop import LightKind, glow_of, tabletop_rig
 from multilight.lights.spec import (
     SUN_ANGLE,
@@ -25,10 +24,11 @@ from multilight.lights.spec import (
 from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.formats.scene_file import FoundLight
 from multilight.scenes.assets.library import AssetLibrary
-from multilight.scenes.frozen import Rgb
+from multilight.scenes.frozen import triple
 from multilight.scenes.names import free_name
 from multilight.scenes.poses import matrix4
 from multilight.scenes.spec import SceneSpec
+from multilight.scenes.streams import Rng
 
 PHOTOMETRIC = ("cd", "lx", "nit")
 WIDEST_CONE = 1.49
@@ -39,7 +39,7 @@ DARK = 5.0
 """Illuminance [lx] at the still life below which a background counts as unlit there."""
 
 
-def custom_rig(rng: np.random.Generator, meter: LightMeter, design: RigDesign, *, lights: tuple[int, int]) -> LightRig:
+def custom_rig(rng: Rng, meter: LightMeter, design: RigDesign, *, lights: tuple[int, int]) -> LightRig:
     """Make a rig of the background's own lights, and of the object that is meant to glow.
 
     Where the file has no light, or none that reaches the objects, lamps are hung as about a table.
@@ -83,18 +83,11 @@ def _world_from_file(scene: SceneSpec, library: AssetLibrary) -> Float64:
     return np.asarray(placed @ np.linalg.inv(np.array(piece.world_from_body)))
 
 
-def _radiometric(found: FoundLight) -> Rgb:
-    if found.unit not in PHOTOMETRIC:
-        return found.amount
-    red, green, blue = (watts_from_photometric(value) for value in found.amount)
-    return red, green, blue
-
-
 def light_from_found(found: FoundLight, world_from_file: Float64, name: str) -> Light:
     """Translate one light into the scene's world; `world_from_file` (4, 4) is rigid."""
     pose = world_from_file @ np.array(found.pose)
-    position, direction = vector(pose[:3, 3]), vector(-pose[:3, 2])
-    amount = _radiometric(found)
+    position, direction = triple(pose[:3, 3]), triple(-pose[:3, 2])
+    amount = triple(map(watts_from_photometric, found.amount)) if found.unit in PHOTOMETRIC else found.amount
     about: dict[str, Any] = {"name": name}
     match found.kind:
         case "point":

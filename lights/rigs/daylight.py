@@ -5,13 +5,14 @@ import numpy as np
 from multilight.lights.photometry.colour import temperature_to_rgb
 from multilight.lights.photometry.irradiance import LightMeter, map_directions, small_map
 from multilight.lights.photometry.radiometry import watts_from_photometric
-from multilight.lights.rigs.lamps import SEEN, Tint, vector
+from multilight.lights.rigs.lamps import SEEN, Tint
 from multilight.lights.spec import EnvironmentLight, SunLight
 from multilight.scenes.assets.builtin.skies import OVERCAST, sky_name, sky_parameters, sun_illuminance
 from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.colour import luminance
+from multilight.scenes.frozen import triple
 from multilight.scenes.poses import direction_from
-from multilight.scenes.streams import log_uniform
+from multilight.scenes.streams import Rng, log_uniform, pick
 
 SUN_SIZES = (0.0093, 0.06)
 """Angular diameters [rad] of the suns that are drawn: from the sun's own to a veiled one."""
@@ -31,8 +32,8 @@ def sun_and_sky(azimuth: float, elevation: float, turbidity: float) -> tuple[Sun
     beam = [watts_from_photometric(1000.0 * klx) for klx in sun_illuminance(elevation=height, turbidity=haze)]
     sun = SunLight(
         name="sun",
-        direction=vector(-direction_from(azimuth, height)),
-        irradiance=(beam[0], beam[1], beam[2]),
+        direction=triple(-direction_from(azimuth, height)),
+        irradiance=triple(beam),
         angle=SUN_SIZES[0],
     )
     return sun, _sky(name, azimuth)
@@ -45,14 +46,12 @@ def overcast(azimuth: float) -> EnvironmentLight:
 
 def moon(azimuth: float, elevation: float) -> SunLight:
     """Return the full moon in a clear sky, half a degree wide."""
-    red, green, blue = (watts_from_photometric(MOON_LUX) * c for c in temperature_to_rgb(MOON_KELVIN))
-    direction = vector(-direction_from(azimuth, elevation))
-    return SunLight(name="moon", colour_temperature=MOON_KELVIN, direction=direction, irradiance=(red, green, blue))
+    irradiance = triple(watts_from_photometric(MOON_LUX) * c for c in temperature_to_rgb(MOON_KELVIN))
+    direction = triple(-direction_from(azimuth, elevation))
+    return SunLight(name="moon", colour_temperature=MOON_KELVIN, direction=direction, irradiance=irradiance)
 
 
-def environment(
-    rng: np.random.Generator, meter: LightMeter, tint: Tint, *, name: str, categories: frozenset[str]
-) -> EnvironmentLight:
+def environment(rng: Rng, meter: LightMeter, tint: Tint, *, name: str, categories: frozenset[str]) -> EnvironmentLight:
     """Draw a map of the categories, of unit radiance; its bright side comes over a random open side.
 
     A uniform environment of the tint where no map is installed, or none is asked for.
@@ -78,9 +77,7 @@ def rotated_to(light: EnvironmentLight, meter: LightMeter, azimuth: float) -> En
     return light.model_copy(update={"rotation": (azimuth - float(np.arctan2(mean[1], mean[0]))) % (2 * np.pi)})
 
 
-def open_direction(
-    rng: np.random.Generator, meter: LightMeter, azimuth: float, elevation: float
-) -> tuple[float, float] | None:
+def open_direction(rng: Rng, meter: LightMeter, azimuth: float, elevation: float) -> tuple[float, float] | None:
     """Return the azimuth and elevation [rad] nearest to those wanted from which the still life is free; None if none.
 
     Nearest of 48 about the wanted direction, ever further from it.
@@ -93,7 +90,7 @@ def open_direction(
     return (float(around[free[0]]), float(above[free[0]])) if len(free) else None
 
 
-def plain_sun(rng: np.random.Generator, meter: LightMeter, azimuth: float, elevation: float) -> SunLight | None:
+def plain_sun(rng: Rng, meter: LightMeter, azimuth: float, elevation: float) -> SunLight | None:
     """Return a sun of unit irradiance near a direction [rad] where that is open; None where it cannot come in."""
     found = open_direction(rng, meter, azimuth, elevation)
     if found is None:
@@ -101,7 +98,7 @@ def plain_sun(rng: np.random.Generator, meter: LightMeter, azimuth: float, eleva
     # Low suns are warm, high ones white (CIE daylight).
     warm = float(np.interp(found[1], [0.2, 1.1], [2800.0, 5600.0]))
     temperature = round(float(np.clip(warm * np.exp(rng.normal(0.0, 0.12)), 2200.0, 9000.0)))
-    direction = vector(-direction_from(*found))
+    direction = triple(-direction_from(*found))
     rgb = temperature_to_rgb(temperature)
     angle = SUN_SIZES[0] if rng.random() < 0.5 else log_uniform(rng, *SUN_SIZES)
     return SunLight(name="sun", colour_temperature=temperature, direction=direction, irradiance=rgb, angle=angle)
@@ -112,8 +109,7 @@ def _sky(name: str, azimuth: float) -> EnvironmentLight:
     return EnvironmentLight(name="sky", map=f"builtin/{name}", radiance=(_SKY_UNIT,) * 3, rotation=rotation)
 
 
-def _draw_place(rng: np.random.Generator, maps: list[AssetInfo]) -> AssetInfo:
+def _draw_place(rng: Rng, maps: list[AssetInfo]) -> AssetInfo:
     """Draw a place first, so that one that comes in several packs counts once."""
-    places = sorted({info.place or info.id for info in maps})
-    wanted = places[int(rng.integers(len(places)))]
+    wanted = pick(rng, sorted({info.place or info.id for info in maps}))
     return next(info for info in maps if (info.place or info.id) == wanted)

@@ -10,18 +10,18 @@ from multilight.lights.photometry.colour import gel_rgb, random_gel, temperature
 from multilight.lights.photometry.irradiance import LightMeter
 from multilight.lights.photometry.luminaires import luminaire
 from multilight.lights.photometry.radiometry import (
-    area_radiance_from_lumens,
-    intensity_from_lumens,
+    area_radiance_from_flux,
     rgb_from_scalar,
     spot_solid_angle,
+    watts_from_photometric,
 )
 from multilight.lights.spec import AreaLight, PointLight, SpotLight
 from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.formats.ies import profile_flux
 from multilight.scenes.cameras.pinhole import look_at
-from multilight.scenes.frozen import Rgb, Vector3
+from multilight.scenes.frozen import Rgb, triple
 from multilight.scenes.poses import direction_from, matrix4
-from multilight.scenes.streams import log_uniform
+from multilight.scenes.streams import Rng, log_uniform, pick
 
 LampKind = Literal["area", "point", "spot"]
 Lamp = PointLight | SpotLight | AreaLight
@@ -77,37 +77,37 @@ def white_tint(temperature: float) -> Tint:
     return Tint(temperature_to_rgb(kelvin), kelvin)
 
 
-def gelled(rng: np.random.Generator, tint: Tint, density: float) -> Tint:
+def gelled(rng: Rng, tint: Tint, density: float) -> Tint:
     """Put a random gel of a density in [0, 1] before a light."""
     gel = random_gel(rng)
-    red, green, blue = (a * b for a, b in zip(tint.rgb, gel_rgb(gel, density), strict=True))
-    return replace(tint, rgb=rgb_from_scalar(1.0, (red, green, blue)), gel=gel)
+    colour = triple(a * b for a, b in zip(tint.rgb, gel_rgb(gel, density), strict=True))
+    return replace(tint, rgb=rgb_from_scalar(1.0, colour), gel=gel)
 
 
-def draw_tint(rng: np.random.Generator, *, gels: float, median: float = 4600.0) -> Tint:
+def draw_tint(rng: Rng, *, gels: float, median: float = 4600.0) -> Tint:
     """Draw a colour temperature about `median` [K] and, with probability `gels`, a gel before it."""
     tint = white_tint(float(np.exp(rng.normal(np.log(median), TINT_SPREAD))))
     return gelled(rng, tint, float(rng.uniform(0.4, 0.95))) if rng.random() < gels else tint
 
 
-def hang(rng: np.random.Generator, meter: LightMeter, plan: LampPlan) -> Lamp:
+def hang(rng: Rng, meter: LightMeter, plan: LampPlan) -> Lamp:
     """Hang a lamp of 1 lm as near to where it is wanted as it has a free line of sight, aimed at the still life."""
     position = _free_position(rng, meter, plan)
     distance = float(np.linalg.norm(position - meter.aim))
     size = min(2.0 * distance * np.tan(plan.size / 2), LARGEST)
     about = {"name": plan.name, "colour_temperature": plan.tint.temperature, "gel": plan.tint.gel}
-    aimed = {"position": vector(position), "intensity": plan.tint.rgb, "radius": min(size, LARGEST_GLOBE) / 2}
+    aimed = {"position": triple(position), "intensity": plan.tint.rgb, "radius": min(size, LARGEST_GLOBE) / 2}
     lamp: Lamp
     match plan.kind:
         case "point":
             lamp = PointLight.model_validate(about | aimed)
             if plan.shaping == "profile":
-                beam = {"profile": luminaire(str(rng.choice(BEAMS))).profile, "direction": vector(meter.aim - position)}
+                beam = {"profile": luminaire(str(rng.choice(BEAMS))).profile, "direction": triple(meter.aim - position)}
                 lamp = lamp.model_copy(update=beam)
         case "spot":
             reach = meter.radius * float(rng.uniform(1.1, 2.0)) / distance
             cone = {
-                "direction": vector((meter.aim - position) / distance),
+                "direction": triple((meter.aim - position) / distance),
                 "half_angle": float(np.clip(np.arctan(reach), 0.12, 1.0)),
                 "blend": float(rng.uniform(0.05, 0.8)),
             }
@@ -133,21 +133,23 @@ def one_lumen(lamp: Lamp) -> Lamp:
     """Return a lamp that gives 1 lm in the same colour and with the same distribution."""
     match lamp:
         case AreaLight():
-            return lamp.model_copy(update={"radiance": area_radiance_from_lumens(1.0, lamp.area, lamp.radiance)})
+            radiance = area_radiance_from_flux(watts_from_photometric(1.0), lamp.area)
+            return lamp.model_copy(update={"radiance": rgb_from_scalar(radiance, lamp.radiance)})
         case SpotLight():
             solid_angle = spot_solid_angle(lamp.half_angle, lamp.blend)
         case PointLight():
             solid_angle = 4.0 * math.pi if lamp.profile is None else profile_flux(lamp.profile)
-    return lamp.model_copy(update={"intensity": intensity_from_lumens(1.0, lamp.intensity, solid_angle)})
+    intensity = watts_from_photometric(1.0) / solid_angle
+    return lamp.model_copy(update={"intensity": rgb_from_scalar(intensity, lamp.intensity)})
 
 
-def _projecting(rng: np.random.Generator, meter: LightMeter, spot: SpotLight) -> SpotLight:
+def _projecting(rng: Rng, meter: LightMeter, spot: SpotLight) -> SpotLight:
     """Put a gobo before a spot, whose cone then must hold the image's square; small sources project sharply."""
     gobos = [info.id for info in meter.library.list("texture") if info.category == "gobo"]
     if not gobos:
         return spot
     changes = {
-        "gobo": gobos[int(rng.integers(len(gobos)))],
+        "gobo": pick(rng, gobos),
         "roll": float(rng.normal(0.0, 0.15)),
         "half_angle": float(np.clip(1.5 * spot.half_angle, 0.2, 1.1)),
         "blend": 0.1,
@@ -163,7 +165,7 @@ def _facing(position: Float64, aim: Float64) -> Float64:
     return look_at(position, aim, up=(1.0, 0.0, 0.0) if steep else (0.0, 0.0, 1.0))
 
 
-def _free_position(rng: np.random.Generator, meter: LightMeter, plan: LampPlan) -> Float64:
+def _free_position(rng: Rng, meter: LightMeter, plan: LampPlan) -> Float64:
     """Draw a position near the wanted one that sees the still life; the search goes ever wider, higher and nearer."""
     tangent = 2.0 * np.tan(plan.size / 2) * np.sqrt(plan.aspect)
     furthest = min(DISTANCES[1], LARGEST / tangent)
@@ -181,8 +183,3 @@ def _free_position(rng: np.random.Generator, meter: LightMeter, plan: LampPlan) 
         if all(meter.seen_fraction(point) >= SEEN for point in [position, *rim]):
             return position
     return meter.aim + np.array([0.0, 0.0, meter.top + 1.0])
-
-
-def vector(values: Float64) -> Vector3:
-    """Return an array (3,) as the tuple that specifications hold."""
-    return float(values[0]), float(values[1]), float(values[2])

@@ -8,18 +8,10 @@ from multilight.lights.photometry.angular_size import angular_diameter
 from multilight.lights.photometry.colour import temperature_of
 from multilight.lights.photometry.irradiance import LightMeter, map_directions, small_map
 from multilight.lights.photometry.radiometry import photometric_from_watts
-from multilight.lights.spec import (
-    AreaLight,
-    EmissiveLight,
-    EnvironmentLight,
-    Light,
-    PointLight,
-    SpotLight,
-    SunLight,
-)
+from multilight.lights.spec import AreaLight, EmissiveLight, EnvironmentLight, Light, PointLight, SpotLight, SunLight
 from multilight.scenes.arrays import Float64
 from multilight.scenes.colour import luminance
-from multilight.scenes.frozen import Rgb
+from multilight.scenes.frozen import Rgb, triple
 
 
 @dataclass(frozen=True)
@@ -102,5 +94,4 @@ def _colour(light: Light, meter: LightMeter) -> Rgb:
         return light.amount
     directions, solid_angle = map_directions(0.0)
     weight = np.maximum(directions[..., 2:], 0.0) * solid_angle[:, None, None]
-    red, green, blue = (weight * small_map(meter.library, light.map)).sum(axis=(0, 1)) * light.radiance
-    return float(red), float(green), float(blue)
+    return triple((weight * small_map(meter.library, light.map)).sum(axis=(0, 1)) * light.radiance)

@@ -1,7 +1,5 @@
 """Rigs under the sky: sun and sky, overcast, golden hour, a photographed place, or night with practical lamps."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from multilight.lights.photometry.irradiance import LightMeter
@@ -11,7 +9,7 @@ from multilight.lights.rigs.design import ELEVATIONS, RigDesign
 from multilight.lights.rigs.lamps import LampKind, LampPlan, draw_tint, hang
 from multilight.lights.rigs.tabletop import glow_of, key_tint
 from multilight.lights.spec import Light, LightRig
-from multilight.scenes.streams import log_uniform, pick_at, weighted_pick
+from multilight.scenes.streams import Rng, log_uniform, pick_at, weighted_pick
 
 MOODS = {"sun": 0.36, "golden": 0.2, "overcast": 0.12, "place": 0.16, "night": 0.16}
 """What the weather and the hour are, with their probabilities."""
@@ -21,27 +19,17 @@ PLACE_LUX, NIGHT_LUX = (1000.0, 30_000.0), (8.0, 120.0)
 """Illuminance in a photographed place by day, whose own level is not known, and under practical lamps [lx]."""
 
 
-@dataclass(frozen=True)
-class _Helper:
-    """A reflector or flash: azimuth from the cameras to either side and elevation [degrees], angular diameter [rad],
-    and its level against the daylight."""
-
-    name: str
-    kind: LampKind
-    azimuth: tuple[float, float]
-    elevation: tuple[float, float]
-    size: tuple[float, float]
-    strength: tuple[float, float]
-
-
-_HELPERS = (
-    _Helper("reflector", "area", (40.0, 110.0), (15.0, 40.0), (0.5, 1.0), (0.08, 0.35)),
-    _Helper("flash", "spot", (60.0, 170.0), (20.0, 55.0), (0.004, 0.06), (0.15, 0.8)),
-    _Helper("rim", "area", (130.0, 180.0), (15.0, 45.0), (0.1, 0.5), (0.15, 0.6)),
-    _Helper("diffuser", "area", (0.0, 180.0), (55.0, 80.0), (0.4, 1.0), (0.1, 0.5)),
-    _Helper("accent", "spot", (20.0, 150.0), (15.0, 60.0), (0.004, 0.1), (0.1, 0.5)),
-    _Helper("kicker", "area", (80.0, 150.0), (12.0, 30.0), (0.1, 0.4), (0.1, 0.4)),
+_Span = tuple[float, float]
+_HELPERS: tuple[tuple[str, LampKind, _Span, _Span, _Span, _Span], ...] = (
+    ("reflector", "area", (40.0, 110.0), (15.0, 40.0), (0.5, 1.0), (0.08, 0.35)),
+    ("flash", "spot", (60.0, 170.0), (20.0, 55.0), (0.004, 0.06), (0.15, 0.8)),
+    ("rim", "area", (130.0, 180.0), (15.0, 45.0), (0.1, 0.5), (0.15, 0.6)),
+    ("diffuser", "area", (0.0, 180.0), (55.0, 80.0), (0.4, 1.0), (0.1, 0.5)),
+    ("accent", "spot", (20.0, 150.0), (15.0, 60.0), (0.004, 0.1), (0.1, 0.5)),
+    ("kicker", "area", (80.0, 150.0), (12.0, 30.0), (0.1, 0.4), (0.1, 0.4)),
 )
+"""Reflectors and flashes: name, kind, azimuth from the cameras to either side and elevation [degrees], angular diameter
+[rad], and level against the daylight."""
 _PRACTICALS: dict[str, tuple[LampKind, float, float]] = {
     "lantern": ("point", 2600.0, 0.15),
     "street_lamp": ("point", 2600.0, 0.15),
@@ -53,7 +41,7 @@ _PRACTICALS: dict[str, tuple[LampKind, float, float]] = {
 """What shines by night: its kind, median colour temperature [K], and probability of a gel."""
 
 
-def outdoor_rig(rng: np.random.Generator, meter: LightMeter, design: RigDesign, *, lights: tuple[int, int]) -> LightRig:
+def outdoor_rig(rng: Rng, meter: LightMeter, design: RigDesign, *, lights: tuple[int, int]) -> LightRig:
     """Draw an outdoor rig of `lights` (fewest, most) lights; sun and sky keep their true strengths.
 
     One light alone by day is the sky: open shade. Beside sun or sky stand reflectors and flashes.
@@ -75,7 +63,7 @@ def outdoor_rig(rng: np.random.Generator, meter: LightMeter, design: RigDesign, 
     return LightRig(lights=tuple(rig))
 
 
-def _daylight(rng: np.random.Generator, meter: LightMeter, design: RigDesign, mood: str, count: int) -> list[Light]:
+def _daylight(rng: Rng, meter: LightMeter, design: RigDesign, mood: str, count: int) -> list[Light]:
     """Return sun and sky in their true strengths, or the sky alone."""
     low, high = GOLDEN if mood == "golden" else DAY
     height = float(np.radians(low + (high - low) * (np.degrees(design.elevation) - ELEVATIONS[0]) / np.ptp(ELEVATIONS)))
@@ -88,7 +76,7 @@ def _daylight(rng: np.random.Generator, meter: LightMeter, design: RigDesign, mo
     return [sun, sky] if count > 1 else [sky]
 
 
-def _place(rng: np.random.Generator, meter: LightMeter, design: RigDesign) -> list[Light]:
+def _place(rng: Rng, meter: LightMeter, design: RigDesign) -> list[Light]:
     """Return the map of a real place by day, its brightest side where the design has the key."""
     tint = draw_tint(rng, gels=0.0, median=6500.0)
     light = environment(rng, meter, tint, name="environment", categories=frozenset({"outdoor"}))
@@ -97,22 +85,20 @@ def _place(rng: np.random.Generator, meter: LightMeter, design: RigDesign) -> li
     return balance(light, (), meter, key_to_fill=1.0, lux=lux)
 
 
-def _helpers(rng: np.random.Generator, meter: LightMeter, room: int) -> list[LightRole]:
+def _helpers(rng: Rng, meter: LightMeter, room: int) -> list[LightRole]:
     """Stand up to `room` reflectors and flashes about the subject, each a part of the daylight."""
     roles = []
     for i in rng.permutation(len(_HELPERS))[: max(0, room)]:
-        wanted = _HELPERS[int(i)]
-        side = float(rng.choice([-1.0, 1.0]) * np.radians(rng.uniform(*wanted.azimuth)))
-        tint = draw_tint(rng, gels=0.0 if wanted.name in ("reflector", "diffuser") else 0.3, median=5400.0)
-        elevation = float(np.radians(rng.uniform(*wanted.elevation)))
-        plan = LampPlan(wanted.name, wanted.kind, side, elevation, log_uniform(rng, *wanted.size), tint)
-        roles.append(LightRole(hang(rng, meter, plan), log_uniform(rng, *wanted.strength)))
+        name, kind, azimuth, elevation, size, strength = _HELPERS[int(i)]
+        side = float(rng.choice([-1.0, 1.0]) * np.radians(rng.uniform(*azimuth)))
+        tint = draw_tint(rng, gels=0.0 if name in ("reflector", "diffuser") else 0.3, median=5400.0)
+        height = float(np.radians(rng.uniform(*elevation)))
+        plan = LampPlan(name, kind, side, height, log_uniform(rng, *size), tint)
+        roles.append(LightRole(hang(rng, meter, plan), log_uniform(rng, *strength)))
     return roles
 
 
-def _night(
-    rng: np.random.Generator, meter: LightMeter, design: RigDesign, count: int, glow: LightRole | None
-) -> LightRig:
+def _night(rng: Rng, meter: LightMeter, design: RigDesign, count: int, glow: LightRole | None) -> LightRig:
     """Light the subject with lanterns and street lamps under a night sky, maybe with the moon."""
     kind: LampKind = "spot" if design.key == "spot" else "point"
     size = min(design.angular_size, 0.2)
@@ -124,9 +110,8 @@ def _night(
     others = ([glow] if glow else []) + [LightRole(sky, log_uniform(rng, 0.3, 1.0))]
     room = count - 1 - len(others)
     if room > 0 and rng.random() < 0.5:
-        found = open_direction(
-            rng, meter, meter.camera + float(rng.uniform(-np.pi, np.pi)), float(rng.uniform(0.4, 1.1))
-        )
+        azimuth = meter.camera + float(rng.uniform(-np.pi, np.pi))
+        found = open_direction(rng, meter, azimuth, float(rng.uniform(0.4, 1.1)))
         if found is not None:
             others.append(LightRole(moon(*found), log_uniform(rng, 0.4, 1.0)))
             room -= 1

@@ -12,21 +12,21 @@ from multilight.lights.photometry.colour import gel_rgb, random_gel, temperature
 from multilight.lights.photometry.radiometry import (
     area_radiance_from_flux,
     rgb_from_scalar,
-    spot_intensity_from_flux,
+    spot_solid_angle,
     watts_from_photometric,
 )
 from multilight.lights.rigs.design import rig_design
-from multilight.lights.rigs.lamps import vector
 from multilight.lights.rigs.windows import daylight, sunlight
 from multilight.lights.spec import AreaLight, EmissiveLight, Light, LightRig, SpotLight
 from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.frozen import triple
 from multilight.scenes.geometry.rays import body_triangles, part_triangles
 from multilight.scenes.materials import GLOW
 from multilight.scenes.materials.emission import sample_glow
 from multilight.scenes.meshes import triangle_areas
 from multilight.scenes.poses import matrix4, translation
 from multilight.scenes.spec import Body, MeshAsset, SceneSpec, Texture
-from multilight.scenes.streams import Streams, log_uniform, weighted_pick
+from multilight.scenes.streams import Rng, Streams, log_uniform, weighted_pick
 
 MOST_LIGHTS = 8
 DAY_LUX = (200.0, 1200.0)
@@ -102,7 +102,10 @@ def room_rig(
     optional: list[Light | _Glow] = [*day[1:], *glows[first:]]
     optional = [optional[int(i)] for i in rng.permutation(len(optional))]
     chosen = [*glows[:first], *day[:1], *optional][:count]
-    spots = _downlights(rng, scene, lights[0] - len(chosen), most=count - len(chosen))
+    # As many recessed lights as are lacking, or one, if there is room for it.
+    wanted = max(lights[0] - len(chosen), int(rng.random() < RECESSED))
+    numbers = range(min(wanted, max(count - len(chosen), 0)))
+    spots = [_downlight(rng, scene, "" if number == 0 else f"_{number + 1}") for number in numbers]
     shining = [(glow, _shining(rng, glow, library)) for glow in chosen if isinstance(glow, _Glow)]
     lamps = _scaled_to(log_uniform(rng, *ROOM_LUX) * _floor_area(scene, library), shining)
     return LightRig(lights=(*(light for light in chosen if not isinstance(light, _Glow)), *lamps, *spots))
@@ -115,7 +118,7 @@ def _scaled_to(wanted: float, shining: list[tuple[_Glow, EmissiveLight]]) -> lis
     return [light.scaled(factor) if glow.bright else light for glow, light in shining]
 
 
-def _glows(rng: np.random.Generator, scene: SceneSpec, library: AssetLibrary) -> list[_Glow]:
+def _glows(rng: Rng, scene: SceneSpec, library: AssetLibrary) -> list[_Glow]:
     """List what may shine: inserted bodies first, then the others in a random order, one part a body."""
     found = []
     for i in rng.permutation(len(scene.bodies)):
@@ -136,7 +139,7 @@ def _kind(body: Body, part: str) -> str:
     return body.category if body.category in FLUX else "screen"
 
 
-def _shining(rng: np.random.Generator, glow: _Glow, library: AssetLibrary) -> EmissiveLight:
+def _shining(rng: Rng, glow: _Glow, library: AssetLibrary) -> EmissiveLight:
     """Let a part shine: objects as such things do (`materials.emission`), screens like daylight, lamps warm mostly."""
     assert isinstance(glow.body.geometry, MeshAsset)
     info = library.info(glow.body.geometry.asset)
@@ -159,7 +162,7 @@ def _shining(rng: np.random.Generator, glow: _Glow, library: AssetLibrary) -> Em
     colour = temperature_to_rgb(round(temperature))
     if gel is not None:
         tint = gel_rgb(gel, float(rng.uniform(0.4, 0.9)))
-        colour = (colour[0] * tint[0], colour[1] * tint[1], colour[2] * tint[2])
+        colour = triple(a * b for a, b in zip(colour, tint, strict=True))
     return EmissiveLight(
         name=glow.body.name,
         colour_temperature=round(temperature),
@@ -180,17 +183,8 @@ def _floor_area(scene: SceneSpec, library: AssetLibrary) -> float:
     return float(np.prod(span))
 
 
-def _downlights(rng: np.random.Generator, scene: SceneSpec, fewest: int, *, most: int) -> list[Light]:
-    """Let recessed spots or flat panels in the ceiling shine down, as often as `RECESSED` says.
-
-    At least `fewest`, and none beyond `most`.
-    """
-    count = min(max(fewest, int(rng.random() < RECESSED)), max(most, 0))
-    return [_downlight(rng, scene, "" if number == 0 else f"_{number + 1}") for number in range(count)]
-
-
-def _downlight(rng: np.random.Generator, scene: SceneSpec, suffix: str) -> SpotLight | AreaLight:
-    """Let one shine down between what is inserted and the centre of the room."""
+def _downlight(rng: Rng, scene: SceneSpec, suffix: str) -> SpotLight | AreaLight:
+    """Let a recessed spot or a flat panel shine down between what is inserted and the centre of the room."""
     places = np.array([np.array(body.world_from_body)[:3, 3] for body in scene.bodies if body.insertable])
     ceiling = next(body for body in scene.bodies if body.category == "ceiling")
     centre = np.array(ceiling.world_from_body)[:3, 3]
@@ -205,9 +199,9 @@ def _downlight(rng: np.random.Generator, scene: SceneSpec, suffix: str) -> SpotL
         return SpotLight(
             name=f"downlight{suffix}",
             colour_temperature=temperature,
-            position=vector(place),
+            position=triple(place),
             direction=(0.0, 0.0, -1.0),
-            intensity=rgb_from_scalar(spot_intensity_from_flux(flux, half), colour),
+            intensity=rgb_from_scalar(flux / spot_solid_angle(half), colour),
             half_angle=half,
             blend=float(rng.uniform(0.2, 0.7)),
             radius=0.03,

@@ -1,6 +1,6 @@
 """Rigs about a still life on a table: a key of any kind from any side, and what fills its shadows."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -17,7 +17,7 @@ from multilight.scenes.appearance import is_mirror
 from multilight.scenes.materials.emission import sample_glow
 from multilight.scenes.spec import MeshAsset
 from multilight.scenes.still_life.setting import emissive_candidate
-from multilight.scenes.streams import log_uniform, weighted_pick
+from multilight.scenes.streams import Rng, log_uniform, pick, weighted_pick
 
 LightKind = Literal["environment", "sun", "point", "spot", "area", "emissive"]
 
@@ -29,34 +29,20 @@ _KIND_WEIGHTS: dict[LampKind, float] = {"point": 0.2, "spot": 0.3, "area": 0.5}
 _SIZES: dict[LampKind, tuple[float, float]] = {"point": (0.003, 0.12), "spot": (0.002, 0.12), "area": (0.06, 0.9)}
 
 
-@dataclass(frozen=True)
-class _FillPosition:
-    """Where a lamp beside the key may hang: azimuth from the cameras' side and elevation [degrees], and its weight."""
-
-    name: str
-    azimuth: tuple[float, float]
-    elevation: tuple[float, float]
-    strength: tuple[float, float]
-
-
-_FILL_POSITIONS = (
-    _FillPosition("fill", (10.0, 80.0), (20.0, 50.0), (0.6, 1.5)),
-    _FillPosition("rim", (135.0, 180.0), (20.0, 50.0), (0.5, 1.5)),
-    _FillPosition("top", (0.0, 180.0), (62.0, 84.0), (0.5, 1.5)),
-    _FillPosition("kicker", (70.0, 140.0), (15.0, 35.0), (0.4, 1.2)),
-    _FillPosition("accent", (40.0, 160.0), (25.0, 65.0), (0.4, 1.2)),
-    _FillPosition("back", (120.0, 180.0), (35.0, 70.0), (0.4, 1.2)),
-    _FillPosition("low", (30.0, 150.0), (10.0, 20.0), (0.4, 1.0)),
+_FILLS = (
+    ("fill", (10.0, 80.0), (20.0, 50.0), (0.6, 1.5)),
+    ("rim", (135.0, 180.0), (20.0, 50.0), (0.5, 1.5)),
+    ("top", (0.0, 180.0), (62.0, 84.0), (0.5, 1.5)),
+    ("kicker", (70.0, 140.0), (15.0, 35.0), (0.4, 1.2)),
+    ("accent", (40.0, 160.0), (25.0, 65.0), (0.4, 1.2)),
+    ("back", (120.0, 180.0), (35.0, 70.0), (0.4, 1.2)),
+    ("low", (30.0, 150.0), (10.0, 20.0), (0.4, 1.0)),
 )
+"""Lamps beside the key, and where they may hang: azimuth from the cameras' side and elevation [degrees], and weight."""
 
 
 def tabletop_rig(
-    rng: np.random.Generator,
-    meter: LightMeter,
-    design: RigDesign,
-    *,
-    kinds: tuple[LightKind, ...],
-    lights: tuple[int, int],
+    rng: Rng, meter: LightMeter, design: RigDesign, *, kinds: tuple[LightKind, ...], lights: tuple[int, int]
 ) -> LightRig:
     """Draw a rig of `lights` (fewest, most) lights of the given kinds for a still life on a table.
 
@@ -74,15 +60,11 @@ def tabletop_rig(
     count = max(min(design.lights, lights[1]), lights[0])
     # What a mirror shows between the walls would be a black void.
     bare = not enclosed or any(is_mirror(body) for body in meter.scene.bodies)
-    needs_sky = "environment" in kinds and bare and not isinstance(key, EnvironmentLight)
+    may_have_sky = "environment" in kinds and not isinstance(key, EnvironmentLight)
+    needs_sky = may_have_sky and bare
     count = min(max(count, 1 + len(others) + needs_sky), lights[1])
     room = count - 1 - len(others)
-    if (
-        room > 0
-        and "environment" in kinds
-        and not isinstance(key, EnvironmentLight)
-        and (needs_sky or design.environment)
-    ):
+    if room > 0 and may_have_sky and (needs_sky or design.environment):
         key, sky = _with_environment(rng, meter, key, enclosed=enclosed, uniform=hard)
         others.append(LightRole(sky, log_uniform(rng, 0.7, 2.5)))
         room -= 1
@@ -93,13 +75,13 @@ def tabletop_rig(
     return LightRig(lights=tuple(balance(key, others, meter, key_to_fill=design.key_to_fill, lux=lux)))
 
 
-def key_tint(rng: np.random.Generator, design: RigDesign) -> Tint:
+def key_tint(rng: Rng, design: RigDesign) -> Tint:
     """Return the colour that a design gives its key."""
     tint = white_tint(design.colour_temperature)
     return gelled(rng, tint, design.gel_saturation) if design.gel_saturation > 0 else tint
 
 
-def glow_of(rng: np.random.Generator, meter: LightMeter) -> LightRole | None:
+def glow_of(rng: Rng, meter: LightMeter) -> LightRole | None:
     """Let the part that is meant to shine glow as such things do (`materials.emission`), a display with its picture."""
     found = emissive_candidate(meter.scene)
     if found is None:
@@ -118,9 +100,7 @@ def glow_of(rng: np.random.Generator, meter: LightMeter) -> LightRole | None:
     return LightRole(light, unit=meter.table_irradiance(light), fixed=True)
 
 
-def _key(
-    rng: np.random.Generator, meter: LightMeter, design: RigDesign, kinds: tuple[LightKind, ...], *, uniform: bool
-) -> Light:
+def _key(rng: Rng, meter: LightMeter, design: RigDesign, kinds: tuple[LightKind, ...], *, uniform: bool) -> Light:
     """Place the key as designed; what the scene or the kinds do not allow becomes a lamp."""
     azimuth = meter.camera + design.azimuth
     if design.key == "environment" and "environment" in kinds:
@@ -133,14 +113,14 @@ def _key(
             rgb = temperature_to_rgb(design.colour_temperature) if design.gel_saturation > 0 else sun.irradiance
             return sun.model_copy(update={"irradiance": rgb, "angle": min(max(design.angular_size, 0.001), 0.3)})
     lamp_kinds = [kind for kind in _KIND_WEIGHTS if kind in kinds]
-    kind = design.key if design.key in lamp_kinds else lamp_kinds[int(rng.integers(len(lamp_kinds)))]
+    kind = design.key if design.key in lamp_kinds else pick(rng, lamp_kinds)
     size = design.angular_size if kind == "area" or design.angular_size < LARGEST_BULB else 0.1
     plan = LampPlan("key", kind, design.azimuth, design.elevation, size, key_tint(rng, design), design.shaping)
     return hang(rng, meter, plan)
 
 
 def _with_environment(
-    rng: np.random.Generator, meter: LightMeter, key: Light, *, enclosed: bool, uniform: bool
+    rng: Rng, meter: LightMeter, key: Light, *, enclosed: bool, uniform: bool
 ) -> tuple[Light, EnvironmentLight]:
     """Add an environment beside the key; a sun on open ground may bring its own sky."""
     tint = draw_tint(rng, gels=0.0, median=6000.0)
@@ -153,13 +133,7 @@ def _with_environment(
 
 
 def _fills(
-    rng: np.random.Generator,
-    meter: LightMeter,
-    key: Light,
-    room: int,
-    kinds: tuple[LightKind, ...],
-    *,
-    enclosed: bool,
+    rng: Rng, meter: LightMeter, key: Light, room: int, kinds: tuple[LightKind, ...], *, enclosed: bool
 ) -> list[LightRole]:
     """Draw the lights beside key, glow and environment: lamps, now and then a sun or one environment more."""
     roles: list[LightRole] = []
@@ -172,19 +146,19 @@ def _fills(
         tint = draw_tint(rng, gels=0.5, median=6000.0)
         roles.append(LightRole(environment(rng, meter, tint, name="ambient", categories=MAPS), 0.7))
     odds = {kind: weight for kind, weight in _KIND_WEIGHTS.items() if kind in kinds}
-    for i in rng.permutation(len(_FILL_POSITIONS))[: max(0, room - len(roles))]:
-        where = _FILL_POSITIONS[int(i)]
+    for i in rng.permutation(len(_FILLS))[: max(0, room - len(roles))]:
+        name, azimuth, elevation, strength = _FILLS[int(i)]
         kind = weighted_pick(rng, odds)
         plan = LampPlan(
-            where.name,
+            name,
             kind,
-            float(rng.choice([-1.0, 1.0]) * np.radians(rng.uniform(*where.azimuth))),
-            float(np.radians(rng.uniform(*where.elevation))),
+            float(rng.choice([-1.0, 1.0]) * np.radians(rng.uniform(*azimuth))),
+            float(np.radians(rng.uniform(*elevation))),
             log_uniform(rng, *_SIZES[kind]),
             draw_tint(rng, gels=0.14),
             "gobo" if rng.random() < 0.15 else "profile" if rng.random() < 0.4 else "plain",
         )
-        roles.append(LightRole(hang(rng, meter, plan), log_uniform(rng, *where.strength)))
+        roles.append(LightRole(hang(rng, meter, plan), log_uniform(rng, *strength)))
     return roles
 
 

@@ -205,9 +205,7 @@ def ablate(settings: AblationSettings, base: Values) -> tuple[list[Run], Evaluat
     """
     groups = _groups(settings)
     _claim(settings, base)
-    plans = [
-        (seed, name, values) for seed in range(settings.seeds) for name, values in variants(settings, seed).items()
-    ]
+    plans = [(seed, *each) for seed in range(settings.seeds) for each in variants(settings, seed).items()]
     runs = []
     for number, (seed, name, values) in enumerate(plans):
         print(f"{number + 1} of {len(plans)}: {name}, seed {seed}", flush=True)
@@ -249,11 +247,8 @@ def _groups(settings: AblationSettings) -> list[LazyGroup]:
     chosen = CaseSettings(settings.splits, settings.groups, size=settings.size)
     if settings.name != "emissive":
         return dataset_groups(settings.dataset, chosen)
-    return [
-        with_subset(group, subset)
-        for subset, where in GLOW.items()
-        for group in dataset_groups(settings.dataset, chosen, where)
-    ]
+    found = {subset: dataset_groups(settings.dataset, chosen, where) for subset, where in GLOW.items()}
+    return [with_subset(group, subset) for subset, groups in found.items() for group in groups]
 
 
 def _claim(settings: AblationSettings, base: Values) -> None:

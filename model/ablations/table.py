@@ -48,15 +48,9 @@ def rows_of(runs: Sequence[Run], found: Evaluation) -> list[Row]:
     for name in names:
         own = [run for run in runs if run.variant == name]
         judged = tuple(run.validation.get("3D", run.validation.get("network", math.nan)) for run in own)
-        rows.append(
-            Row(
-                name,
-                own[0].parameters,
-                tuple(run.steps for run in own),
-                tuple(run.seconds / max(run.steps, 1) for run in own),
-                _figures(found, [run.method for run in own]) | {"validation": judged},
-            )
-        )
+        figures = _figures(found, [run.method for run in own]) | {"validation": judged}
+        seconds = tuple(run.seconds / max(run.steps, 1) for run in own)
+        rows.append(Row(name, own[0].parameters, tuple(run.steps for run in own), seconds, figures))
     return rows
 
 

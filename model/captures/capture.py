@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from multilight.datagen.errors import UserError
-from multilight.model.captures.depth_maps import read_depth_map
 from multilight.model.captures.lenses import Lens, undistorted
-from multilight.model.inference.pictures import opened, resized
+from multilight.model.inference.pictures import opened, read_depth, resized
 from multilight.scenes.arrays import Float32, Float64, Int64
 from multilight.scenes.cameras.pinhole import reprojection_error
 from multilight.scenes.poses import matrix4
@@ -81,7 +80,8 @@ def load_shots(
     views = []
     for shot in shots:
         camera, image, depth = _read(shot)
-        size = size or _reduced(image.shape[:2], max_side)
+        scale = min(1.0, max_side / max(image.shape[:2]))
+        size = size or (max(1, round(image.shape[0] * scale)), max(1, round(image.shape[1] * scale)))
         views.append(_fitted(shot, camera, image, depth, size))
     depths = [depth for _, _, depth in views if depth is not None]
     return Capture(
@@ -135,6 +135,21 @@ def _read(shot: Shot) -> tuple[Camera, Float32, Float32 | None]:
     return undistorted(shot.lens.scaled(width, height), shot.c2w, image, depth)
 
 
+def read_depth_map(path: Path) -> Float32:
+    """Read one of COLMAP's own (`.bin`), or what `read_depth` reads: (H, W) in the file's unit, 0 where unknown."""
+    if path.suffix != ".bin":
+        return read_depth(path)
+    import pycolmap  # an extra
+
+    depth = pycolmap.DepthMap()
+    try:
+        depth.read(path)
+    except (ValueError, RuntimeError, OSError) as error:
+        raise UserError(f"depth map {path} cannot be read: {str(error).splitlines()[0]}") from None
+    values = np.asarray(depth.to_array(), np.float32)
+    return np.where(np.isfinite(values) & (values > 0), values, np.float32(0.0))
+
+
 def _fitted(
     shot: Shot, camera: Camera, image: Float32, depth: Float32 | None, size: tuple[int, int]
 ) -> tuple[Camera, Float32, Float32 | None]:
@@ -162,8 +177,3 @@ def nearest(values: Float32, size: tuple[int, int]) -> Float32:
         ((np.arange(new) + 0.5) * old / new).astype(np.int64) for new, old in zip(size, values.shape, strict=True)
     )
     return values[np.ix_(rows, columns)]
-
-
-def _reduced(size: tuple[int, ...], max_side: int) -> tuple[int, int]:
-    scale = min(1.0, max_side / max(size))
-    return max(1, round(size[0] * scale)), max(1, round(size[1] * scale))

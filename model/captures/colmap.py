@@ -24,12 +24,10 @@ DEMANDS: tuple[dict[str, float], ...] = (
     {},
     {"init_min_num_inliers": 40, "init_min_tri_angle": 8.0, "abs_pose_min_num_inliers": 15},
     {
-        "init_min_num_inliers": 30,
-        "init_min_tri_angle": 4.0,
-        "abs_pose_min_num_inliers": 12,
+        "init_min_num_inliers": 30, "init_min_tri_angle": 4.0, "abs_pose_min_num_inliers": 12,
         "abs_pose_min_inlier_ratio": 0.15,
     },
-)
+)  # fmt: skip
 """What the mapper demands of a first pair and of each further picture: COLMAP's defaults, then ever less, until all
 pictures are placed. Small pictures have few features."""
 
@@ -53,14 +51,18 @@ def read_colmap(folder: Path, model: Path, *, max_side: int, every: int = 1) -> 
         found = pycolmap.Reconstruction(model)
     except (ValueError, RuntimeError, OSError, IndexError) as error:
         raise UserError(f"COLMAP model {model} cannot be read: {str(error).splitlines()[0]}") from None
-    pictures = folder / "images"
-    return _capture(folder, pictures if pictures.is_dir() else folder, found, max_side=max_side, every=every)
+    return _capture(folder, pictures_of(folder), found, max_side=max_side, every=every)
 
 
 def capture_from_images(folder: Path, *, max_side: int, every: int = 1) -> Capture:
     """Find the poses of a folder of pictures, taken with one camera, and return them as a capture without depth."""
-    pictures = folder / "images" if (folder / "images").is_dir() else folder
+    pictures = pictures_of(folder)
     return _capture(folder, pictures, find_poses(pictures), max_side=max_side, every=every)
+
+
+def pictures_of(folder: Path) -> Path:
+    """Return the folder that holds a capture's pictures."""
+    return folder / "images" if (folder / "images").is_dir() else folder
 
 
 def find_poses(pictures: Path) -> pycolmap.Reconstruction:
@@ -84,7 +86,10 @@ def find_poses(pictures: Path) -> pycolmap.Reconstruction:
         )
         pycolmap.match_exhaustive(database)
         for demands in DEMANDS:
-            made = pycolmap.incremental_mapping(database, pictures, Path(work), _options(demands))
+            options = pycolmap.IncrementalPipelineOptions(min_model_size=2, multiple_models=False, random_seed=SEED)
+            for name, value in demands.items():
+                setattr(options.mapper, name, value)
+            made = pycolmap.incremental_mapping(database, pictures, Path(work), options)
             best = max([best, *made.values()], key=_placed)
             if _placed(best) == len(names):
                 break
@@ -98,13 +103,6 @@ def find_poses(pictures: Path) -> pycolmap.Reconstruction:
 
 def _placed(found: pycolmap.Reconstruction | None) -> int:
     return 0 if found is None else int(found.num_reg_images())
-
-
-def _options(demands: dict[str, float]) -> pycolmap.IncrementalPipelineOptions:
-    options = pycolmap.IncrementalPipelineOptions(min_model_size=2, multiple_models=False, random_seed=SEED)
-    for name, value in demands.items():
-        setattr(options.mapper, name, value)
-    return options
 
 
 def _capture(folder: Path, pictures: Path, found: pycolmap.Reconstruction, *, max_side: int, every: int) -> Capture:

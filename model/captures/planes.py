@@ -9,6 +9,7 @@ from multilight.datagen.errors import UserError
 from multilight.model.captures.capture import Capture
 from multilight.scenes.arrays import Float64
 from multilight.scenes.cameras.pinhole import unproject
+from multilight.scenes.streams import Rng
 
 TRIALS = 1000
 TILT = np.deg2rad(30.0)
@@ -84,7 +85,7 @@ def scene_points(capture: Capture) -> Float64:
     return np.asarray(points[::step])
 
 
-def find_plane(capture: Capture, rng: np.random.Generator) -> Plane:
+def find_plane(capture: Capture, rng: Rng) -> Plane:
     """Find the largest plane about the scene's centre that an object can stand on.
 
     RANSAC (Fischler and Bolles 1981) over the points, least squares over those that agree. Raises `UserError` where

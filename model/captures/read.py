@@ -26,7 +26,6 @@ def read_capture(path: Path, *, max_side: int = 512, every: int = 1) -> Capture:
     model = colmap.colmap_model(path)
     if model is not None:
         return colmap.read_colmap(path, model, max_side=max_side, every=every)
-    pictures = path / "images" if (path / "images").is_dir() else path
-    if not any(file.suffix.lower() in colmap.SUFFIXES for file in pictures.iterdir()):
+    if not any(file.suffix.lower() in colmap.SUFFIXES for file in colmap.pictures_of(path).iterdir()):
         raise UserError(f"{path} is no capture: there is neither a transforms.json, nor sparse/0, nor a picture in it")
     return colmap.capture_from_images(path, max_side=max_side, every=every)

@@ -68,15 +68,11 @@ def insert_into_files(wanted: Insertion) -> None:
 
 
 def _write(out: Path, capture: Capture, inserted: Inserted, result: Harmonized) -> None:
-    for folder, views in (
-        ("composites", inserted.composites),
-        ("single", result.single),
-        ("harmonized", result.views),
-    ):
+    masks = (np.repeat(mask[..., None], 3, axis=-1) for mask in inserted.coverage)
+    made = {"composites": inserted.composites, "single": result.single, "harmonized": result.views}
+    for folder, views in (*made.items(), ("masks", masks)):
         for name, view in zip(capture.names, views, strict=True):
             write_picture(out / folder / Path(name).with_suffix(".png"), view)
-    for name, mask in zip(capture.names, inserted.coverage, strict=True):
-        write_picture(out / "masks" / Path(name).with_suffix(".png"), np.repeat(mask[..., None], 3, axis=-1))
     with written(out / "scene.ply") as work:
         write_gaussians(work, result.gaussians)
 

@@ -63,14 +63,14 @@ def render_gaussians(camera: Camera, gaussians: Gaussians) -> Float32:
     return np.clip(picture, 0.0, 1.0).reshape(camera.height, camera.width, 3).astype(np.float32)
 
 
-def write_video(path: Path, frames: Iterable[Float32], size: tuple[int, int], fps: int = FPS) -> None:
+def write_video(path: Path, frames: Iterable[Float32], size: tuple[int, int]) -> None:
     """Write pictures (H, W, 3) in [0, 1] of `size` (width, height), both even, as H.264; raises `UserError`.
 
     ffmpeg is started by hand: `imageio_ffmpeg.write_frames` forks, which hangs where a library holds a lock.
     """
     if not path.parent.is_dir():
         raise UserError(f"video {path} cannot be written: {path.parent} is not a folder")
-    raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{size[0]}x{size[1]}", "-r", str(fps), "-i", "-"]
+    raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{size[0]}x{size[1]}", "-r", str(FPS), "-i", "-"]
     coded = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "18", str(path)]
     command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-loglevel", "error", *raw, *coded]
     pictures = b"".join(np.ascontiguousarray(to_bytes(frame)).tobytes() for frame in frames)

@@ -92,9 +92,18 @@ def flip_map(picture: Float32, truth: Float32) -> Float32:
 
     P. Andersson et al., FLIP: A Difference Evaluator for Alternating Images, 2020; at 67 pixels a degree.
     """
+    return _flip(picture, truth, magma=False).reshape(*picture.shape[:2], -1)[..., 0]
+
+
+def flip_picture(picture: Float32, truth: Float32) -> Float32:
+    """Return `flip_map` as a picture (H, W, 3), dark where nothing differs."""
+    return _flip(picture, truth, magma=True)
+
+
+def _flip(picture: Float32, truth: Float32, *, magma: bool) -> Float32:
     a, b = (np.ascontiguousarray(np.clip(image, 0.0, 1.0), np.float32) for image in (truth, picture))
-    error, _, _ = flip_evaluator.evaluate(a, b, "LDR", inputsRGB=True, applyMagma=False, computeMeanError=False)
-    return np.asarray(error, np.float32).reshape(picture.shape[0], picture.shape[1], -1)[..., 0]
+    error, _, _ = flip_evaluator.evaluate(a, b, "LDR", inputsRGB=True, applyMagma=magma, computeMeanError=False)
+    return np.asarray(error, np.float32)
 
 
 def mean_scores(every: list[Scores]) -> Scores:

@@ -12,7 +12,7 @@ from multilight.model.evaluation.foscom import depth_of, filled, prepared_pictur
 from multilight.model.evaluation.run import GAMMA
 from multilight.model.inference.depth import DepthModel
 from multilight.model.inference.pictures import read_mask, read_picture
-from multilight.scenes.arrays import Float32, Float64
+from multilight.scenes.arrays import Float32, Float64, Mask
 from multilight.scenes.files.limits import read_text
 
 
@@ -64,17 +64,7 @@ def _published(path: Path, depth_model: DepthModel | None) -> Group:
     same_size(name, truth=truth, mask=mask)
     composite, inside = np.array(truth), mask > 0.5
     composite[inside] = with_colours_of(truth, inside, _input_colours(path))[inside]
-    case = Case(
-        name,
-        composite,
-        background=filled(truth, mask),
-        depth=depth_of(composite, depth_model),
-        mask=mask,
-        target=truth,
-        valid=mask >= 1.0,
-        fit_exposure=True,
-    )
-    return Group((case,), ("OWL",))
+    return _group(name, composite, truth, mask, depth_model, valid=mask >= 1.0)
 
 
 def _input_colours(path: Path) -> Float32:
@@ -95,15 +85,14 @@ def _input_colours(path: Path) -> Float32:
 
 def _prepared(root: Path, scene: Path, depth_model: DepthModel | None) -> Group:
     composite, truth, mask = prepared_pictures(root, scene, "gt_path")
-    case = Case(
-        scene.name,
-        composite,
-        background=filled(truth, mask),
-        depth=depth_of(composite, depth_model),
-        mask=mask,
-        target=truth,
-        fit_exposure=True,
-    )
+    return _group(scene.name, composite, truth, mask, depth_model)
+
+
+def _group(
+    name: str, composite: Float32, truth: Float32, mask: Float32, model: DepthModel | None, valid: Mask | None = None
+) -> Group:
+    background, depth = filled(truth, mask), depth_of(composite, model)
+    case = Case(name, composite, background, depth, mask, target=truth, valid=valid, fit_exposure=True)
     return Group((case,), ("OWL",))
 
 

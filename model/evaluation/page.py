@@ -7,8 +7,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import flip_evaluator
-import numpy as np
 from PIL import Image
 
 from multilight.datagen.errors import full_disk_told
@@ -16,7 +14,7 @@ from multilight.datagen.files.outputs import check_folder
 from multilight.datagen.pages.render import data_uri, render_page
 from multilight.datagen.storage.store import write_text
 from multilight.datagen.text import markdown as escaped
-from multilight.model.evaluation.metrics import HIGHER_IS_BETTER, METRICS, REGIONS, Scores
+from multilight.model.evaluation.metrics import HIGHER_IS_BETTER, METRICS, REGIONS, Scores, flip_picture
 from multilight.model.evaluation.run import JUDGED_BY, Evaluation, Shown
 from multilight.model.inference.pictures import to_bytes
 from multilight.scenes.arrays import Float32
@@ -162,7 +160,7 @@ def _case(shown: Shown, methods: tuple[str, ...]) -> dict[str, object]:
     figures += [_figure(method, shown.outputs[method], _psnr(shown, method)) for method in methods]
     if case.target is not None:
         figures.append(_figure("target", case.target))
-        figures.append(_figure(f"error of {methods[-1]} (FLIP)", _error(shown.outputs[methods[-1]], case.target)))
+        figures.append(_figure(f"error of {methods[-1]} (FLIP)", flip_picture(shown.outputs[methods[-1]], case.target)))
     else:
         figures.append(_figure("background", case.background))
     return {"name": case.name, "subsets": shown.subsets, "figures": figures}
@@ -178,9 +176,3 @@ def _figure(title: str, picture: Float32, note: str = "") -> dict[str, str]:
     stream = io.BytesIO()
     Image.fromarray(to_bytes(picture)).save(stream, "JPEG", quality=92, subsampling=0)
     return {"title": title, "picture": data_uri(stream.getvalue(), "jpeg"), "note": note}
-
-
-def _error(output: Float32, target: Float32) -> Float32:
-    pair = [np.ascontiguousarray(np.clip(picture, 0.0, 1.0), np.float32) for picture in (target, output)]
-    coloured, _, _ = flip_evaluator.evaluate(*pair, "LDR", inputsRGB=True, applyMagma=True, computeMeanError=False)
-    return np.asarray(coloured, np.float32)

@@ -61,7 +61,7 @@ class Evaluation:
 
     methods: tuple[str, ...]
     frames: list[Frame] = field(default_factory=list)
-    consistency: list[tuple[tuple[str, ...], dict[str, float]]] = field(default_factory=list)
+    consistency: list[dict[str, float]] = field(default_factory=list)
     megabytes: dict[str, float] = field(default_factory=dict)
     examples: list[Shown] = field(default_factory=list)
     worst: list[Shown] = field(default_factory=list)
@@ -84,12 +84,11 @@ class Evaluation:
         """Return the mean time [s] that a frame takes; what a method does once a scene is shared by its frames."""
         return float(np.mean([frame.seconds[method] for frame in self.frames]))
 
-    def inconsistency(self, method: str, subset: str | None = None) -> tuple[float, float]:
+    def inconsistency(self, method: str) -> tuple[float, float]:
         """Return the mean disagreement between views, in [0, 1], and its ratio to that of the true pictures."""
-        found = [values for subsets, values in self.consistency if subset is None or subset in subsets]
-        if not found:
+        if not self.consistency:
             return float("nan"), float("nan")
-        own, true = (float(np.mean([values[name] for values in found])) for name in (method, "target"))
+        own, true = (float(np.mean([values[name] for values in self.consistency])) for name in (method, "target"))
         return own, own / max(true, 1e-9)
 
 
@@ -162,12 +161,9 @@ def _keep(shown: Shown, found: Evaluation, *, first: bool) -> None:
     if first and len(found.examples) < EXAMPLES and (not counts or min(counts) < SHOWN_OF_SUBSET):
         found.examples.append(shown)
     if shown.scores:
-        last = found.methods[-1]
-        found.worst = sorted([*found.worst, shown], key=lambda each: _judged(each.scores[last]))[:WORST]
-
-
-def _judged(scores: Scores) -> float:
-    return (scores.get(JUDGED_BY) or scores["image"])["PSNR"]
+        last, every = found.methods[-1], [*found.worst, shown]
+        judged = [(each.scores[last].get(JUDGED_BY) or each.scores[last]["image"])["PSNR"] for each in every]
+        found.worst = [every[int(i)] for i in np.argsort(judged, kind="stable")[:WORST]]
 
 
 def _compare_views(group: Group, pictures: Sequence[Mapping[str, Float32]], found: Evaluation) -> None:
@@ -179,7 +175,7 @@ def _compare_views(group: Group, pictures: Sequence[Mapping[str, Float32]], foun
     if pairs:
         truth = [case.target for case in group.cases if case.target is not None]
         values = {name: disagreement([picture[name] for picture in pictures], pairs) for name in found.methods}
-        found.consistency.append((group.subsets, values | {"target": disagreement(truth, pairs)}))
+        found.consistency.append(values | {"target": disagreement(truth, pairs)})
 
 
 def fitted_exposure(picture: Float32, case: Case) -> Float32:

@@ -165,9 +165,8 @@ def render(camera: Camera, parameters: Parameters, pairs: Pairs) -> Tensor:
     weights = alphas * torch.exp(before - before[pairs.first]).to(alphas.dtype)
     colors = torch.cat((parameters.colors, torch.ones_like(parameters.colors[:, :1])), dim=1)[pairs.numbers]
     flat = torch.zeros(camera.height * camera.width, 4, dtype=weights.dtype, device=weights.device)
-    return flat.index_add(0, pairs.pixels, weights[:, None] * colors[pairs.places]).reshape(
-        camera.height, camera.width, 4
-    )
+    flat = flat.index_add(0, pairs.pixels, weights[:, None] * colors[pairs.places])
+    return flat.reshape(camera.height, camera.width, 4)
 
 
 def _footprints(camera: Camera, parameters: Parameters, numbers: Tensor) -> tuple[Tensor, Tensor]:

@@ -147,7 +147,7 @@ def reshaped(scene: SplatScene, cameras: Sequence[Camera], gaussians: Gaussians)
     return replace(scene, matrix=matrix, transposed=transposed, gaussians=replace(scene.gaussians, gaussians=gaussians))
 
 
-def map_order(means: NDArray[np.floating], order: Order, bits: int = 10) -> Int64 | None:
+def map_order(means: NDArray[np.floating], order: Order) -> Int64 | None:
     """Return which Gaussian comes first on the map, which next, (N,); None for the Hilbert curve, as they lie.
 
     Z-order is Morton's curve over the same cells; an arbitrary order is a fixed random one.
@@ -156,7 +156,7 @@ def map_order(means: NDArray[np.floating], order: Order, bits: int = 10) -> Int6
         case "hilbert":
             return None
         case "morton":
-            return np.argsort(morton_index(box_cells(means, bits), bits), kind="stable")
+            return np.argsort(morton_index(box_cells(means, 10), 10), kind="stable")
         case "arbitrary":
             return np.random.default_rng(0).permutation(len(means))
 

@@ -83,10 +83,10 @@ def harmonize(
     try:
         if max(composite.shape[:2]) <= WHOLE:
             result = network(*pictures, given)
-        elif network.config.head == "gain":
-            result = _from_reduced(network, pictures, given)
         else:
-            result = _from_tiles(network, pictures, given)
+            # Of the whole picture: at a tile's border it would differ from its neighbour's.
+            given = soft_mask(pictures[0], pictures[1]) if given is None else given
+            result = (_from_reduced if network.config.head == "gain" else _from_tiles)(network, pictures, given)
     except RuntimeError as error:
         if not isinstance(error, torch.OutOfMemoryError) and "allocate memory" not in str(error):
             raise
@@ -101,10 +101,8 @@ def harmonize(
     return found
 
 
-def _from_reduced(network: Compositing2D, pictures: list[Tensor], mask: Tensor | None) -> Tensor:
+def _from_reduced(network: Compositing2D, pictures: list[Tensor], mask: Tensor) -> Tensor:
     composite, background, _ = pictures
-    if mask is None:
-        mask = soft_mask(composite, background)
     scale = WHOLE / max(composite.shape[-2:])
     size = [max(1, round(length * scale)) for length in composite.shape[-2:]]
     small = [interpolate(picture, size=size, mode="area") for picture in (*pictures, mask)]
@@ -112,10 +110,8 @@ def _from_reduced(network: Compositing2D, pictures: list[Tensor], mask: Tensor |
     return apply_gains(maps, composite, background, mask).clamp(0.0, 1.0)
 
 
-def _from_tiles(network: Compositing2D, pictures: list[Tensor], mask: Tensor | None) -> Tensor:
+def _from_tiles(network: Compositing2D, pictures: list[Tensor], mask: Tensor) -> Tensor:
     height, width = pictures[0].shape[-2:]
-    if mask is None:  # of the whole picture: at a tile's border it would differ from its neighbour's
-        mask = soft_mask(pictures[0], pictures[1])
     total, weight = torch.zeros_like(pictures[0]), torch.zeros_like(pictures[0][:, :1])
     for top in _starts(height):
         for left in _starts(width):

@@ -128,20 +128,16 @@ def _loaded(path: Path, made: Callable[[str], Network]) -> Network:
         raise UserError(f"weights {path} do not exist; make some with: multilight train CONFIG")
     try:
         tensors, header = _read_tensors(path)
-        _check_size(lambda: made(header["network"]), tensors)
+        # Before the network is made, whose size the header decides.
+        with torch.device("meta"):
+            described = sum(value.numel() for value in made(header["network"]).state_dict().values())
+        if described != (found := sum(value.numel() for value in tensors.values())):
+            raise ValueError(f"its header describes a network of {described} numbers, the file holds {found}")
         network = made(header["network"])
         network.load_state_dict(tensors)
     except (OSError, ValueError, KeyError, ValidationError, RuntimeError) as error:
         raise UserError(f"weights {path} cannot be read: {str(error).splitlines()[0]}") from None
     return network.eval()
-
-
-def _check_size(make: Callable[[], nn.Module], tensors: Tensors) -> None:
-    """Raise `ValueError`, before the network is made, where a file's tensors are not what its header describes."""
-    with torch.device("meta"):
-        described = sum(value.numel() for value in make().state_dict().values())
-    if described != (found := sum(value.numel() for value in tensors.values())):
-        raise ValueError(f"its header describes a network of {described} numbers, the file holds {found}")
 
 
 def _write_tensors(path: Path, tensors: Tensors, header: dict[str, str]) -> None:

@@ -111,9 +111,9 @@ class WindowAttention(nn.Module):
 class LocalContext(nn.Module):
     """The block's local branch: a narrow 3 x 3 convolution, weighted channel by channel by what the picture holds."""
 
-    def __init__(self, width: int, reduction: int = 8) -> None:
+    def __init__(self, width: int) -> None:
         super().__init__()
-        narrow = width // reduction
+        narrow = width // 8
         self.local = nn.Sequential(
             nn.Conv2d(width, narrow, 1), nn.Conv2d(narrow, narrow, 3, padding=1), nn.Conv2d(narrow, width, 1)
         )

@@ -87,10 +87,8 @@ def harmonize_views(
     network: SceneNetwork, scene: SplatScene, composites: Float32, harmonized: Float32, backgrounds: Float32
 ) -> tuple[Float32, Float32]:
     """Do as `harmonize_scene` with arrays (V, H, W, 3): colours (N, 3), and views (V, H, W, 3) in [0, 1]."""
-    given = (
-        torch.from_numpy(views).permute(0, 3, 1, 2).to(scene.matrix.device)
-        for views in (composites, harmonized, backgrounds)
-    )
+    every = (composites, harmonized, backgrounds)
+    given = (torch.from_numpy(views).permute(0, 3, 1, 2).to(scene.matrix.device) for views in every)
     colors, views = harmonize_scene(network, scene, *given)
     return colors.cpu().numpy(), views.clamp(0.0, 1.0).permute(0, 2, 3, 1).cpu().numpy()
 

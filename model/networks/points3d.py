@@ -41,14 +41,11 @@ class PointTransformer(nn.Module):
             nn.init.zeros_(parameter)
         left = (parameters - sum(p.numel() for p in self.parameters())) / layers
         inner = max(1, round((left - (4 * width**2 + 9 * width)) / (2 * width + 1)))
-        self.layers = nn.Sequential(
-            *(
-                nn.TransformerEncoderLayer(
-                    width, config.heads, inner, dropout=0.0, activation="gelu", batch_first=True, norm_first=True
-                )
-                for _ in range(layers)
+        self.layers = nn.Sequential()
+        for _ in range(layers):
+            self.layers.append(
+                nn.TransformerEncoderLayer(width, config.heads, inner, 0.0, "gelu", batch_first=True, norm_first=True)
             )
-        )
 
     def forward(self, composite: Tensor, carried: Tensor, means: Tensor) -> Tensor:
         """Harmonize colours (N, 3) twice, display-encoded, of Gaussians at `means` (N, 3) metres → (N, 3).

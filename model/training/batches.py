@@ -117,11 +117,11 @@ def _one_line_errors(loader: DataLoader[Any]) -> Iterator[dict[str, Any]]:
         raise UserError(line.removeprefix(f"{type(error).__module__}.{type(error).__qualname__}: ")) from None
 
 
-def validation_batches(data: DataConfig, stage: StageConfig, device: torch.device, *, batch: int = 8) -> list[Batch]:
+def validation_batches(data: DataConfig, stage: StageConfig, device: torch.device) -> list[Batch]:
     """Load the validation samples; empty where there are none."""
     if not data.validation_samples:
         return []
-    loader = DataLoader(validation_samples(data, stage.size), batch_size=batch, shuffle=False)
+    loader = DataLoader(validation_samples(data, stage.size), batch_size=8, shuffle=False)
     return [Batch.of(sample, device) for sample in loader]
 
 

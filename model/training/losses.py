@@ -1,7 +1,5 @@
 """What training minimizes: squared error where it matters, plus a distance that sees structure."""
 
-from pathlib import Path
-
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
@@ -13,7 +11,7 @@ FEATURE_WEIGHTS = (1 / 2.6, 1 / 4.8, 1 / 3.7, 1 / 5.6, 10 / 1.5)
 """Of conv1_2 … conv5_2 (Chen and Koltun 2017), as in the published training."""
 
 EFFECT_SEEN = 0.02  # display-encoded effect at which a pixel counts half as changed
-SCALES = 3
+SCALES, WINDOW = 3, 7
 KNEE = 1e-3  # mean squared error (30 dB) at which the logarithmic loss turns from linear to logarithmic
 
 
@@ -58,17 +56,17 @@ class StructureDistance(nn.Module):
         return total
 
 
-def ssim(image: Tensor, target: Tensor, window: int = 7) -> Tensor:
+def ssim(image: Tensor, target: Tensor) -> Tensor:
     """Return the mean structural similarity of (B, 3, H, W) pictures in [0, 1]: (B,).
 
-    Wang et al. 2004, with a uniform `window` (their equation 13, K1 = 0.01, K2 = 0.03) and no padding.
+    Wang et al. 2004, with a uniform window of `WINDOW` pixels (their equation 13, K1 = 0.01, K2 = 0.03) and no padding.
     """
     c1, c2 = 0.01**2, 0.03**2
 
     def mean(x: Tensor) -> Tensor:  # over squares, by rows and columns: four times faster than pooling
         for dim in (-1, -2):
-            first, *others = (x.narrow(dim, i, x.shape[dim] - window + 1) for i in range(window))
-            x = sum(others, start=first) / window
+            first, *others = (x.narrow(dim, i, x.shape[dim] - WINDOW + 1) for i in range(WINDOW))
+            x = sum(others, start=first) / WINDOW
         return x
 
     mean_a, mean_b = mean(image), mean(target)
@@ -102,7 +100,9 @@ class CompositingLoss(nn.Module):
     def __init__(self, config: LossConfig) -> None:
         super().__init__()
         self.config = config
-        self.distance = make_distance(config.vgg) if config.perceptual > 0 else None
+        self.distance: VGGDistance | StructureDistance | None = None
+        if config.perceptual > 0:
+            self.distance = VGGDistance(load_vgg19(config.vgg)) if config.vgg else StructureDistance()
         self.label = "none" if self.distance is None else self.distance.label
 
     def forward(self, image: Tensor, target: Tensor, mask: Tensor, effect: Tensor) -> dict[str, Tensor]:
@@ -118,11 +118,6 @@ class CompositingLoss(nn.Module):
             "perceptual": perceptual,
             "mse": _per_picture(squared.detach()),
         }
-
-
-def make_distance(vgg: Path | None) -> VGGDistance | StructureDistance:
-    """Return the VGG19 distance where weights are given, else the stand-in."""
-    return StructureDistance() if vgg is None else VGGDistance(load_vgg19(vgg))
 
 
 def _per_picture(x: Tensor) -> Tensor:

@@ -1,6 +1,5 @@
 """What one sees of a training: the validation's figure, sample pictures, the log."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import torch
@@ -41,10 +40,10 @@ class Log:
         self.folder, self.quiet = folder, quiet
         self._board = None if quiet else SummaryWriter(str(folder / "tensorboard"))
 
-    def line(self, text: Callable[[], str] | str) -> None:
+    def line(self, text: str) -> None:
         """Print a line (of the first process only)."""
         if not self.quiet:
-            print(text if isinstance(text, str) else text(), flush=True)
+            print(text, flush=True)
 
     def scalars(self, values: dict[str, float], step: int) -> None:
         """Record numbers by name."""

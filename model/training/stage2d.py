@@ -39,7 +39,8 @@ class Trainer2D(Trainer[Batch]):
 
     def __init__(self, config: TrainingConfig, device: torch.device, process: Process = ALONE) -> None:
         super().__init__(config, device, process)
-        self.bf16 = _use_bf16(config, device)
+        able = device.type == "cuda" and torch.cuda.is_bf16_supported()
+        self.bf16 = config.precision == "bf16" or (config.precision == "auto" and able)
         self.module: nn.Module = DistributedDataParallel(self.network) if process.world > 1 else self.network
         self._batches: Iterator[dict[str, Any]] | None = None
 
@@ -83,9 +84,3 @@ def processes(config: TrainingConfig) -> Iterator[tuple[Process, torch.device]]:
         yield Process(torch.distributed.get_rank(), world), device
     finally:
         torch.distributed.destroy_process_group()
-
-
-def _use_bf16(config: TrainingConfig, device: torch.device) -> bool:
-    if config.precision == "auto":
-        return device.type == "cuda" and torch.cuda.is_bf16_supported()
-    return config.precision == "bf16"

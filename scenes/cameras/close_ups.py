@@ -8,6 +8,7 @@ from multilight.scenes.arrays import Float64
 from multilight.scenes.cameras.pinhole import camera_from_lens, focal_length_mm, half_angle, look_at
 from multilight.scenes.poses import box_centre, direction_from
 from multilight.scenes.spec import Camera
+from multilight.scenes.streams import Rng
 
 MOVES_IN = 0.6
 """Probability that the last views of a scene move in."""
@@ -20,18 +21,14 @@ CLEAR = 0.4
 TRIES = 10
 
 
-def closer_views(rng: np.random.Generator, views: int, visible: float) -> int:
+def closer_views(rng: Rng, views: int, visible: float) -> int:
     """Draw how many of the last views move in, so that the fraction `visible` of all can still show everything."""
     wanted = rng.random() < MOVES_IN
     return round(SPENT * (1.0 - visible) * views) if wanted else 0
 
 
 def move_in(
-    rng: np.random.Generator,
-    cameras: tuple[Camera, ...],
-    points: Float64,
-    count: int,
-    is_good: Callable[[Camera], bool],
+    rng: Rng, cameras: tuple[Camera, ...], points: Float64, count: int, is_good: Callable[[Camera], bool]
 ) -> tuple[Camera, ...]:
     """Replace the last `count` cameras by ones that look at an object, given by points (N, 3), from close by.
 
@@ -53,7 +50,7 @@ def move_in(
     return tuple(result)
 
 
-def _near(rng: np.random.Generator, camera: Camera, centre: Float64, framed: float, *, jitter: float) -> Camera | None:
+def _near(rng: Rng, camera: Camera, centre: Float64, framed: float, *, jitter: float) -> Camera | None:
     """Move one camera along its line of sight, more or less, until the picture holds `framed` [m]; None if it does."""
     size, focal = (camera.width, camera.height), focal_length_mm(camera)
     offset = camera.pose()[:3, 3] - centre

@@ -9,15 +9,15 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from multilight.scenes.arrays import Float64
 from multilight.scenes.cameras.pinhole import camera_from_lens, half_angle, look_at
-from multilight.scenes.frozen import Frozen, UnitFloat
+from multilight.scenes.frozen import Settings, UnitFloat
 from multilight.scenes.numbers import smoothstep
 from multilight.scenes.poses import direction_from
 from multilight.scenes.spec import Camera
-from multilight.scenes.streams import Weights, log_uniform
+from multilight.scenes.streams import Rng, Weights, log_uniform
 
 TrajectoryKind = Literal["approach", "orbit", "handheld", "random"]
 """From distant to close; round the subject; a hand that holds still as best it can; anywhere at all."""
@@ -72,10 +72,8 @@ class TrajectoryShares(Weights[TrajectoryKind]):
     """Each view from anywhere, with any lens."""
 
 
-class CameraSettings(Frozen):
+class CameraSettings(Settings):
     """What the cameras of a dataset have in common."""
-
-    model_config = ConfigDict(use_attribute_docstrings=True)
 
     trajectories: TrajectoryShares = TrajectoryShares()
     """Kinds of trajectory."""
@@ -130,21 +128,12 @@ class Path:
     sway: Float64
 
 
-def draw_path(
-    rng: np.random.Generator, kind: TrajectoryKind, framing: Framing, *, views: int, lens_mm: tuple[float, float]
-) -> Path:
+def draw_path(rng: Rng, kind: TrajectoryKind, framing: Framing, *, views: int, lens_mm: tuple[float, float]) -> Path:
     """Draw a path of a kind."""
     low, high = lens_mm
     lens = (low, low * (high / low) ** framing.narrow)
-    match kind:
-        case "approach":
-            return _approach(rng, framing, views, lens)
-        case "orbit":
-            return _orbit(rng, framing, views, lens)
-        case "handheld":
-            return _handheld(rng, framing, views, lens)
-        case "random":
-            return _random(rng, framing, views, lens)
+    drawn = {"approach": _approach, "orbit": _orbit, "handheld": _handheld, "random": _random}[kind]
+    return drawn(rng, framing, views, lens)
 
 
 def camera_on(path: Path, view: int, aims: tuple[Float64, Float64], size: tuple[int, int]) -> Camera:
@@ -158,7 +147,7 @@ def camera_on(path: Path, view: int, aims: tuple[Float64, Float64], size: tuple[
     return camera_from_lens(pose, width=size[0], height=size[1], focal_length_mm=focal)
 
 
-def _midpoint(rng: np.random.Generator, framing: Framing, sweep: float) -> float:
+def _midpoint(rng: Rng, framing: Framing, sweep: float) -> float:
     """Draw the azimuth [rad] of the midpoint of a sweep that keeps to the open side."""
     slack = max(0.0, framing.opening - sweep / 2)
     if framing.opening >= np.pi / 2:
@@ -166,7 +155,7 @@ def _midpoint(rng: np.random.Generator, framing: Framing, sweep: float) -> float
     return framing.front + float(rng.uniform(-slack, slack))
 
 
-def _framed(rng: np.random.Generator, framing: Framing, least: float, most: float) -> float:
+def _framed(rng: Rng, framing: Framing, least: float, most: float) -> float:
     """Draw the radius [m] that is framed: `least` to `most` times the close one, at most the distant one."""
     return float(framing.close * rng.uniform(least, max(least, min(most, framing.distant / framing.close))))
 
@@ -176,7 +165,7 @@ def _steps(views: int) -> Float64:
     return np.linspace(0.0, 1.0, views) if views > 1 else np.array([ONE_VIEW])
 
 
-def _approach(rng: np.random.Generator, framing: Framing, views: int, lens: tuple[float, float]) -> Path:
+def _approach(rng: Rng, framing: Framing, views: int, lens: tuple[float, float]) -> Path:
     """Draw an arc from distant to close, from a wider to a longer lens, with the slight unrest of a hand."""
     least, most = np.radians(SWEEP[0]), min(np.radians(SWEEP[1]), 2.0 * framing.opening)
     sweep = max(least, framing.narrow * rng.uniform(least, most))
@@ -199,7 +188,7 @@ def _approach(rng: np.random.Generator, framing: Framing, views: int, lens: tupl
     )
 
 
-def _orbit(rng: np.random.Generator, framing: Framing, views: int, lens: tuple[float, float]) -> Path:
+def _orbit(rng: Rng, framing: Framing, views: int, lens: tuple[float, float]) -> Path:
     """Draw a path round the subject at one distance, rising and sinking a little; all round where nothing forbids."""
     if framing.opening > 0.99 * np.pi:
         # The last view of a full circle is not the first again.
@@ -221,7 +210,7 @@ def _orbit(rng: np.random.Generator, framing: Framing, views: int, lens: tuple[f
     )
 
 
-def _handheld(rng: np.random.Generator, framing: Framing, views: int, lens: tuple[float, float]) -> Path:
+def _handheld(rng: Rng, framing: Framing, views: int, lens: tuple[float, float]) -> Path:
     """Draw one standpoint and the wobble about it, smooth from view to view; the hand moves slowly in or out."""
     t = _steps(views)
     wobble = float(rng.uniform(0.5, 1.0))
@@ -240,7 +229,7 @@ def _handheld(rng: np.random.Generator, framing: Framing, views: int, lens: tupl
     )
 
 
-def _random(rng: np.random.Generator, framing: Framing, views: int, lens: tuple[float, float]) -> Path:
+def _random(rng: Rng, framing: Framing, views: int, lens: tuple[float, float]) -> Path:
     """Draw each view on its own: any side, height, lens and distance."""
     spread = framing.distant / framing.close
     return Path(
@@ -254,7 +243,7 @@ def _random(rng: np.random.Generator, framing: Framing, views: int, lens: tuple[
     )
 
 
-def _wander(rng: np.random.Generator, t: Float64) -> Float64:
+def _wander(rng: Rng, t: Float64) -> Float64:
     """Return a smooth random curve over `t`, (N,), of unit deviation in the long run: slow sine waves."""
     curve = np.zeros_like(t)
     for amplitude, cycles in WAVES:

@@ -151,11 +151,6 @@ def ray_distance_from_z_depth(camera: Camera, z_depth: ArrayLike) -> Float64:
     return np.asarray(z_depth, np.float64) * np.linalg.norm(_axis_one_directions(camera), axis=-1)
 
 
-def z_depth_from_ray_distance(camera: Camera, ray_distance: ArrayLike) -> Float64:
-    """Turn distances from the pinhole (H, W) into z_depth, float64, metres."""
-    return np.asarray(ray_distance, np.float64) / np.linalg.norm(_axis_one_directions(camera), axis=-1)
-
-
 @dataclass(frozen=True)
 class Reprojection:
     """How well one view's depth predicts another's.

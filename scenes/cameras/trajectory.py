@@ -23,7 +23,7 @@ from multilight.scenes.errors import MultilightError
 from multilight.scenes.geometry.rays import SceneRays
 from multilight.scenes.poses import box_centre, translation
 from multilight.scenes.spec import Camera
-from multilight.scenes.streams import log_uniform
+from multilight.scenes.streams import Rng, log_uniform, pick
 
 CLEARANCE = 0.08
 """Smallest distance [m] of a camera to the convex hull of any body, and to any wall."""
@@ -67,7 +67,7 @@ class Subject:
 
 
 def sample_trajectory(
-    rng: np.random.Generator,
+    rng: Rng,
     subject: Subject,
     *,
     width: int,
@@ -98,7 +98,7 @@ def sample_trajectory(
     raise TrajectoryError(f"none of {TRIES} {kind} paths is free and shows every insertable object")
 
 
-def _framing(rng: np.random.Generator, subject: Subject, *, narrow: float) -> Framing:
+def _framing(rng: Rng, subject: Subject, *, narrow: float) -> Framing:
     """Measure the still life and the table, and draw how tightly they are framed."""
     group = float(np.linalg.norm(subject.group - box_centre(subject.group), axis=1).max())
     table = float(np.linalg.norm(subject.table - subject.table.mean(axis=0), axis=1).max())
@@ -115,12 +115,7 @@ def _aims(subject: Subject) -> tuple[Float64, Float64]:
 
 
 def _scattered(
-    rng: np.random.Generator,
-    subject: Subject,
-    framing: Framing,
-    size: tuple[int, int],
-    views: int,
-    settings: CameraSettings,
+    rng: Rng, subject: Subject, framing: Framing, size: tuple[int, int], views: int, settings: CameraSettings
 ) -> tuple[Camera, ...]:
     """Draw views one by one: the first candidate that shows everything, else the first that stands free."""
     chosen: list[Camera] = []
@@ -135,11 +130,9 @@ def _scattered(
     return tuple(chosen)
 
 
-def _moved_in(
-    rng: np.random.Generator, cameras: tuple[Camera, ...], subject: Subject, fraction: float
-) -> tuple[Camera, ...]:
+def _moved_in(rng: Rng, cameras: tuple[Camera, ...], subject: Subject, fraction: float) -> tuple[Camera, ...]:
     """Let the last cameras of a path move in on one object, where the others still show everything."""
-    body = sorted(subject.watched)[int(rng.integers(len(subject.watched)))]
+    body = pick(rng, sorted(subject.watched))
     points = subject.watched[body]
 
     def is_good(camera: Camera) -> bool:
@@ -152,13 +145,12 @@ def _moved_in(
 
 
 def focused(
-    rng: np.random.Generator, cameras: tuple[Camera, ...], objects: dict[int, Float64], settings: CameraSettings
+    rng: Rng, cameras: tuple[Camera, ...], objects: dict[int, Float64], settings: CameraSettings
 ) -> tuple[Camera, ...]:
     """Open the lens in the stated fraction of scenes, focused throughout on one of the objects' points (N, 3)."""
     if rng.random() >= settings.depth_of_field:
         return cameras
-    watched = sorted(objects)
-    centre = box_centre(objects[watched[int(rng.integers(len(watched)))]])
+    centre = box_centre(objects[pick(rng, sorted(objects))])
     f_number = log_uniform(rng, *settings.f_number)
     depths = [float(project(camera, centre[None])[1][0]) for camera in cameras]
     # An object behind the camera cannot be in focus: such a view looks into the distance.
@@ -186,8 +178,9 @@ def _is_free(camera: Camera, subject: Subject) -> bool:
 def _shows(cameras: Sequence[Camera], subject: Subject, fraction: float) -> bool:
     """Tell whether every insertable object is whole and visible in that fraction of the views."""
     for body, points in subject.watched.items():
-        good = sum(in_frame(camera, points) and _is_seen(camera, subject.rays, body, points) for camera in cameras)
-        if good < fraction * len(cameras):
+        good = [camera for camera in cameras if in_frame(camera, points)]
+        seen = [subject.rays.visible_share(camera.pose()[:3, 3], body, points) >= SEEN for camera in good]
+        if sum(seen) < fraction * len(cameras):
             return False
     return True
 
@@ -199,8 +192,3 @@ def in_frame(camera: Camera, points: Float64) -> bool:
         return False
     size = np.array([camera.width, camera.height])
     return bool((pixels >= MARGIN * size).all() and (pixels <= (1 - MARGIN) * size).all())
-
-
-def _is_seen(camera: Camera, rays: SceneRays, body: int, points: Float64) -> bool:
-    """Tell whether enough of an object is not hidden by others."""
-    return rays.visible_share(camera.pose()[:3, 3], body, points) >= SEEN

@@ -29,26 +29,6 @@ def hilbert_index(cells: ArrayLike, bits: int) -> Int64:
     return _interleave([axis ^ flips for axis in axes], bits)
 
 
-def hilbert_cells(index: ArrayLike, bits: int, dimensions: int) -> Int64:
-    """Return the cells (N, D) int64 at places (N,) of the Hilbert curve: the inverse of `hilbert_index`.
-
-    Raises `ValueError` where an index lies outside [0, 2**(bits * D)), or D is neither 2 nor 3.
-    """
-    _check_curve(bits, dimensions)
-    places = np.asarray(index, np.int64)
-    if places.size and not (places.min() >= 0 and places.max() < 1 << (bits * dimensions)):
-        raise ValueError(f"indices from {places.min()} to {places.max()} are not on a curve of {bits} bits")
-    axes = _deinterleave(places, bits, dimensions)
-    flips = axes[-1] >> 1
-    for i in range(dimensions - 1, 0, -1):
-        axes[i] ^= axes[i - 1]
-    axes[0] ^= flips
-    for bit in range(1, bits):
-        for i in range(dimensions - 1, -1, -1):
-            _rotate(axes, i, bit)
-    return np.stack(axes, axis=-1)
-
-
 def morton_index(cells: ArrayLike, bits: int) -> Int64:
     """Return where on the Z-order curve (Morton 1966) cells (N, D) lie, (N,) int64; limits as for `hilbert_index`."""
     return _interleave(list(_checked_cells(cells, bits).T), bits)
@@ -84,13 +64,12 @@ def fold(side: int) -> Int64:
     bits = side.bit_length() - 1
     if side < 1 or side != 1 << bits:
         raise ValueError(f"a map's side must be a power of two, not {side}")
-    if bits == 0:
-        return np.zeros((1, 2), np.int64)
-    return np.ascontiguousarray(hilbert_cells(np.arange(side * side), bits, 2)[:, ::-1])
+    cells = np.stack(np.divmod(np.arange(side * side), side), axis=-1)
+    return cells[np.argsort(hilbert_index(cells[:, ::-1], max(bits, 1)))]
 
 
 def _rotate(axes: list[Int64], i: int, bit: int) -> None:
-    """Undo or do one level's rotation of the curve in place: flip axis 0 below `bit`, or swap it with axis i there."""
+    """Undo one level's rotation of the curve in place: flip axis 0 below `bit`, or swap it with axis i there."""
     below = (1 << bit) - 1
     mirrored = -((axes[i] >> bit) & 1)  # all ones where the bit is set, else zero
     swapped = (axes[0] ^ axes[i]) & below & ~mirrored
@@ -107,26 +86,15 @@ def _interleave(axes: list[Int64], bits: int) -> Int64:
     return index
 
 
-def _deinterleave(index: Int64, bits: int, dimensions: int) -> list[Int64]:
-    axes = [np.zeros_like(index) for _ in range(dimensions)]
-    for bit in range(bits):
-        for i in range(dimensions):
-            axes[i] |= ((index >> (bit * dimensions + dimensions - 1 - i)) & 1) << bit
-    return axes
-
-
 def _checked_cells(cells: ArrayLike, bits: int) -> Int64:
     values = np.asarray(cells)
     if values.ndim != 2 or not np.issubdtype(values.dtype, np.integer):
         raise ValueError(f"cells must be integers of shape (N, D), not {values.dtype} {values.shape}")
-    _check_curve(bits, values.shape[1])
-    if values.size and not (values.min() >= 0 and values.max() < 1 << bits):
-        raise ValueError(f"cells from {values.min()} to {values.max()} lie outside [0, {1 << bits})")
-    return values.astype(np.int64)
-
-
-def _check_curve(bits: int, dimensions: int) -> None:
+    dimensions = values.shape[1]
     if dimensions not in (2, 3):
         raise ValueError(f"curves have 2 or 3 dimensions, not {dimensions}")
     if not 1 <= bits <= 63 // dimensions:
         raise ValueError(f"{bits} bits in {dimensions} dimensions: must be 1 to {63 // dimensions}")
+    if values.size and not (values.min() >= 0 and values.max() < 1 << bits):
+        raise ValueError(f"cells from {values.min()} to {values.max()} lie outside [0, {1 << bits})")
+    return values.astype(np.int64)

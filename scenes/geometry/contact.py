@@ -25,6 +25,8 @@ BACKING = 0.1
 """Thickness [m] behind the rectangles of a surrounding: what pokes through a wall lies in it."""
 
 How = Literal["stands", "held", "hangs"]
+Touches = dict[str, dict[str, Float64]]
+"""For each body the points (N, 3) where it touches each of its neighbours."""
 
 
 @dataclass(frozen=True)
@@ -48,11 +50,6 @@ class ContactReport:
     overlaps: tuple[Overlap, ...]
     unsupported: tuple[str, ...]
     supports: dict[str, How]
-
-    @property
-    def ok(self) -> bool:
-        """Whether nothing lies in anything and everything is carried."""
-        return not self.overlaps and not self.unsupported
 
 
 class Solids:
@@ -86,35 +83,33 @@ class Solids:
 
 def _slab(vertices: Float64, faces: Int64) -> tuple[Float64, Int64]:
     """Give a rectangle (4, 3) in its XY plane a back."""
-    corners = np.arange(4)
-    following = np.roll(corners, -1)
-    sides = np.concatenate(
-        [np.stack([following, corners, corners + 4], 1), np.stack([following, corners + 4, following + 4], 1)]
-    )
+    a, b = np.arange(4), np.roll(np.arange(4), -1)
+    sides = np.concatenate([np.stack([b, a, a + 4], 1), np.stack([b, a + 4, b + 4], 1)])
     back = vertices - [0.0, 0.0, BACKING]
     return np.concatenate([vertices, back]), np.concatenate([faces, faces[:, ::-1] + 4, sides])
 
 
-def check_contacts(bodies: Sequence[Body], library: AssetLibrary, *, tolerance: float = TOLERANCE) -> ContactReport:
+def check_contacts(bodies: Sequence[Body], library: AssetLibrary) -> ContactReport:
     """Check every pair of bodies for overlap, and every body for what carries it.
 
-    Bodies of role `surrounding` carry without being carried, and may overlap each other. Gaps up to `tolerance` [m]
+    Bodies of role `surrounding` carry without being carried, and may overlap each other. Gaps up to `TOLERANCE`
     count as contact, depths up to it as none.
     """
     solids = Solids(library)
     placed = {body.name: solids.place(body) for body in bodies}
     fixed = {body.name for body in bodies if body.role == "surrounding"}
-    overlaps, contacts = [], {}
+    overlaps = []
+    touches: Touches = {name: {} for name in placed}
     for first, second in combinations(placed, 2):
         pair = placed[first], placed[second]
-        if (first in fixed and second in fixed) or not boxes_meet(*pair, reach=tolerance):
+        if (first in fixed and second in fixed) or not boxes_meet(*pair, reach=TOLERANCE):
             continue
-        if (deep := depth(*pair, ignore=0.9 * tolerance)) > tolerance:
+        if (deep := depth(*pair, ignore=0.9 * TOLERANCE)) > TOLERANCE:
             overlaps.append(Overlap(first, second, deep))
-        points = touching(*pair, reach=tolerance)
+        points = touching(*pair, reach=TOLERANCE)
         if len(points):
-            contacts[first, second] = points
-    supports = _carried(placed, fixed, contacts)
+            touches[first][second] = touches[second][first] = points
+    supports = _carried(placed, touches, fixed)
     free = [name for name in placed if name not in fixed]
     return ContactReport(
         overlaps=tuple(sorted(overlaps, key=lambda entry: -entry.depth)),
@@ -152,36 +147,27 @@ def _over(points: Float64, centre: Float64) -> bool:
     return bool((hull.equations[:, :2] @ centre[:2] + hull.equations[:, 2] <= TOLERANCE).all())
 
 
-@dataclass(frozen=True)
-class _World:
-    """Bodies where they stand, and for each the points (N, 3) where it touches each of its neighbours."""
-
-    placed: dict[str, Placed]
-    touches: dict[str, dict[str, Float64]]
-
-
-def _carried(placed: dict[str, Placed], fixed: set[str], contacts: dict[tuple[str, str], Float64]) -> dict[str, How]:
+def _carried(placed: dict[str, Placed], touches: Touches, fixed: set[str]) -> dict[str, How]:
     """Tell how each body is carried: from the surrounding upwards, then those that lean on each other."""
-    world = _World(placed, {name: {} for name in placed})
-    for (first, second), points in contacts.items():
-        world.touches[first][second] = world.touches[second][first] = points
     supports: dict[str, How] = {}
     while True:
         firm = fixed | set(supports)
         waiting = set(placed) - firm
-        found = _resting(world, waiting, firm, fixed) or _leaning(world, waiting, firm, fixed)
+        found = _resting(placed, touches, waiting, firm, fixed) or _leaning(placed, touches, waiting, firm, fixed)
         if not found:
             return {name: supports[name] for name in placed if name in supports}
         supports |= found
 
 
-def _resting(world: _World, waiting: set[str], firm: set[str], fixed: set[str]) -> dict[str, How]:
+def _resting(
+    placed: dict[str, Placed], touches: Touches, waiting: set[str], firm: set[str], fixed: set[str]
+) -> dict[str, How]:
     """Find which of the waiting bodies rest on what is firm."""
     found: dict[str, How] = {}
     for name in waiting:
-        body = world.placed[name]
-        near = {other: points for other, points in world.touches[name].items() if other in firm}
-        how = support_of(body, [(world.placed[other], points) for other, points in near.items()])
+        body = placed[name]
+        near = {other: points for other, points in touches[name].items() if other in firm}
+        how = support_of(body, [(placed[other], points) for other, points in near.items()])
         if how is None:
             fastened = [points[:, 2].max() for other, points in near.items() if other in fixed]
             how = "hangs" if max(fastened, default=-np.inf) >= body.centre_of_mass[2] else None
@@ -190,13 +176,15 @@ def _resting(world: _World, waiting: set[str], firm: set[str], fixed: set[str]) 
     return found
 
 
-def _leaning(world: _World, waiting: set[str], firm: set[str], fixed: set[str]) -> dict[str, How]:
+def _leaning(
+    placed: dict[str, Placed], touches: Touches, waiting: set[str], firm: set[str], fixed: set[str]
+) -> dict[str, How]:
     """Find bodies that carry each other while the group rests on what is firm: leave out those that fail, repeat."""
     group = waiting
     while group:
-        found = _resting(world, group, firm | group, fixed)
+        found = _resting(placed, touches, group, firm | group, fixed)
         if set(found) == group:
-            grounded = any(other in firm for name in group for other in world.touches[name])
+            grounded = any(other in firm for name in group for other in touches[name])
             return found if grounded else {}
         group = set(found)
     return {}

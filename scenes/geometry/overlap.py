@@ -190,11 +190,8 @@ def touching(first: Placed, second: Placed, reach: float = 1e-3) -> Float64:
     """
     if not boxes_meet(first, second, reach):
         return np.empty((0, 3))
-    found = [
-        apply_pose(outer.pose, _close_points(inner, outer, reach))
-        for inner, outer in ((first, second), (second, first))
-    ]
-    return np.concatenate(found)
+    pairs = ((first, second), (second, first))
+    return np.concatenate([apply_pose(outer.pose, _close_points(inner, outer, reach)) for inner, outer in pairs])
 
 
 def _close_points(inner: Placed, around: Placed, reach: float) -> Float64:

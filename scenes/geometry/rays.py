@@ -12,6 +12,7 @@ from multilight.scenes.geometry.support_surfaces import stacked_faces
 from multilight.scenes.meshes import stacked, triangle_areas, triangle_crosses
 from multilight.scenes.poses import apply_pose
 from multilight.scenes.spec import Body, MeshAsset, Rectangle, Sphere
+from multilight.scenes.streams import Rng
 
 
 def body_triangles(body: Body, library: AssetLibrary) -> tuple[Float64, Int64]:
@@ -79,7 +80,7 @@ class SceneRays:
         return float((hit == body).sum() / max(1, (hit >= 0).sum()))
 
 
-def surface_points(body: Body, library: AssetLibrary, rng: np.random.Generator, count: int) -> Float64:
+def surface_points(body: Body, library: AssetLibrary, rng: Rng, count: int) -> Float64:
     """Draw `count` points evenly over a body's surface, (count, 3) float64 world metres."""
     vertices, faces = body_triangles(body, library)
     a, b, c = np.moveaxis(vertices[faces], 1, 0)

@@ -14,6 +14,8 @@ from multilight.scenes.arrays import Float64, Int64, Mask
 from multilight.scenes.errors import MultilightError
 from multilight.scenes.meshes import Mesh, stacked, triangle_crosses
 
+CELL = 0.01
+"""Grid [m] on which surfaces are looked for."""
 FLATNESS = 0.0015
 """How far [m] cells of one surface may lie above or below its height."""
 
@@ -73,35 +75,26 @@ class SupportSurface:
         return bool((self.edge_distance(rings) > margin).all())
 
 
-def find_support(mesh: Mesh, *, cell: float = 0.01, smallest: float = 0.4) -> SupportSurface:
+def find_support(mesh: Mesh, *, smallest: float = 0.4) -> SupportSurface:
     """Find the largest free flat region that rays from above reach, `smallest` x `smallest` metres at least.
 
     Things that stand on the surface, and holes in it, are not part of the region; shelves below it and seats
     beside it lose against the larger top. Raises `SupportError` where no region is large enough.
     """
     low, high = mesh.bounds().astype(np.float64)
-    shape = np.maximum(np.ceil((high - low)[:2] / cell).astype(int), 1)
-    columns, rows = (low[i] + (np.arange(shape[i]) + 0.5) * cell for i in (0, 1))
+    shape = np.maximum(np.ceil((high - low)[:2] / CELL).astype(int), 1)
+    columns, rows = (low[i] + (np.arange(shape[i]) + 0.5) * CELL for i in (0, 1))
     heights, parts, upward = _height_map(mesh, columns, rows, float(high[2]) + 1.0)
     best: Mask | None = None
     for level in _levels(heights[upward]):
         flat = upward & (np.abs(heights - level) <= FLATNESS)
-        labels, count = ndimage.label(flat)
-        if count:
-            sizes = ndimage.sum_labels(flat, labels, np.arange(1, count + 1))
-            region = labels == 1 + int(np.argmax(sizes))
-            if best is None or region.sum() > best.sum():
-                best = region
-    side = 0.0 if best is None else largest_square(best) * cell
+        region = largest_region(flat)
+        if best is None or region.sum() > best.sum():
+            best = region
+    side = 0.0 if best is None else largest_square(best) * CELL
     if best is None or side < smallest:
         raise SupportError(f"largest free square is {side:.2f} m, need at least {smallest:.2f} m")
-    return SupportSurface(
-        height=float(np.max(heights[best])),
-        origin=low[:2],
-        cell=cell,
-        free=best,
-        part=int(np.bincount(parts[best]).argmax()),
-    )
+    return SupportSurface(float(heights[best].max()), low[:2], CELL, best, int(np.bincount(parts[best]).argmax()))
 
 
 def _height_map(mesh: Mesh, columns: Float64, rows: Float64, top: float) -> tuple[Float64, Int64, Mask]:
@@ -132,6 +125,12 @@ def _levels(heights: Float64) -> list[float]:
     rounded, counts = np.unique(np.round(heights, 3), return_counts=True)
     commonest = rounded[np.argsort(-counts, kind="stable")[:3]]
     return [float(np.median(heights[np.abs(heights - level) <= 0.001])) for level in commonest]
+
+
+def largest_region(free: Mask) -> Mask:
+    """Return the largest connected region of the cells that are free; empty where none is."""
+    labels, _ = ndimage.label(free)
+    return np.asarray(labels == 1 + int(np.argmax(np.bincount(labels.ravel(), minlength=2)[1:])))
 
 
 def largest_square(region: Mask) -> int:

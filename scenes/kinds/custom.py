@@ -11,13 +11,13 @@ from multilight.scenes.assets.library import AssetError, AssetLibrary
 from multilight.scenes.geometry.contact import Solids
 from multilight.scenes.geometry.rays import SceneRays, body_triangles
 from multilight.scenes.geometry.solids import Placed
-from multilight.scenes.geometry.support_surfaces import FLATNESS, SupportSurface, largest_square
+from multilight.scenes.geometry.support_surfaces import FLATNESS, SupportSurface, largest_region, largest_square
 from multilight.scenes.meshes import triangle_crosses
 from multilight.scenes.poses import direction_from
 from multilight.scenes.spec import Body, SceneSpec
 from multilight.scenes.still_life.sample import StillLifeSettings, sample_still_life
 from multilight.scenes.still_life.setting import Setting, make_body
-from multilight.scenes.streams import Streams
+from multilight.scenes.streams import Streams, pick
 
 CELL = 0.02
 """Grid [m] on which surfaces are looked for; coarser on surfaces beyond `MOST_CELLS`."""
@@ -70,15 +70,8 @@ def sample_custom(streams: Streams, library: AssetLibrary, *, index: int, settin
     weights = np.sqrt([min(place.surface.area, 1.0) for place in places])
 
     def build(attempt: int) -> Setting:
-        place = places[int(streams(f"place/{attempt}").choice(len(places), p=weights / weights.sum()))]
-        return Setting(
-            bodies=bodies,
-            solids=(),
-            surface=place.surface,
-            world_from_surface=np.eye(4),
-            front=place.front,
-            opening=place.opening,
-        )
+        place = pick(streams(f"place/{attempt}"), places, weights)
+        return Setting(bodies, (), place.surface, np.eye(4), place.front, place.opening)
 
     return sample_still_life(streams, library, build, kind="custom", index=index, settings=settings)
 
@@ -90,7 +83,7 @@ def find_places(bodies: Sequence[Body], library: AssetLibrary) -> list[Place]:
     """
     rays = SceneRays(bodies, library)
     solids = Solids(library)
-    placed = [solid for solid in (solids.place(body) for body in bodies) if solid.solid.is_closed]
+    placed = [solid for solid in map(solids.place, bodies) if solid.solid.is_closed]
     corners = np.concatenate([v[f] for v, f in (body_triangles(body, library) for body in bodies)])
     found: list[SupportSurface] = []
     largest = 0.0
@@ -125,10 +118,8 @@ def _levels(corners: Float64) -> list[tuple[float, Float64, Float64]]:
     for number in np.argsort(-total, kind="stable")[:MOST_LEVELS]:
         if total[number] < SMALLEST**2:
             break
-        members = flat[group == number]
-        result.append(
-            (float(np.median(height[group == number])), members[:, :, :2].min((0, 1)), members[:, :, :2].max((0, 1)))
-        )
+        corners = flat[group == number][:, :, :2]
+        result.append((float(np.median(height[group == number])), corners.min((0, 1)), corners.max((0, 1))))
     return result
 
 
@@ -190,9 +181,7 @@ def _place(rays: SceneRays, surface: SupportSurface) -> Place | None:
         return None
     # Start at an azimuth that is blocked, so that no free stretch runs over the seam.
     start = int(np.argmin(free))
-    labels, count = ndimage.label(np.roll(free, -start))
-    widths = ndimage.sum_labels(np.ones(DIRECTIONS), labels, np.arange(1, count + 1))
-    stretch = np.flatnonzero(labels == 1 + int(np.argmax(widths)))
+    stretch = np.flatnonzero(largest_region(np.roll(free, -start)))
     opening = len(stretch) * np.pi / DIRECTIONS
     front = azimuth[0] + (start + stretch.mean()) * 2 * np.pi / DIRECTIONS
     return Place(surface, front=float(front), opening=float(opening)) if opening > NARROWEST else None

@@ -12,7 +12,7 @@ from multilight.scenes.still_life.planes import level_pose, plane, upright_pose
 from multilight.scenes.still_life.sample import StillLifeSettings, sample_still_life
 from multilight.scenes.still_life.selection import Choice, Wanted, draw_by_category, draw_standing, unused
 from multilight.scenes.still_life.setting import Setting, flat_surface
-from multilight.scenes.streams import Streams, weighted_pick
+from multilight.scenes.streams import Rng, Streams, weighted_pick
 
 GROUND = 600.0
 """Side [m] of the ground: its edge lies a fifth of a degree below the horizon for an eye at one metre."""
@@ -31,13 +31,11 @@ PATIO_EDGE = 0.1  # left free, on both edges together
 GLOWING_INSERTED = 0.85  # an object that glows is an insertable one
 AS_IT_COMES = 0.6  # an object keeps its own resting pose, besides its chance among them
 FURNITURE = frozenset({"bench", "chair", "floor_plant", "planter", "stool"})
-_THINGS = frozenset(
-    {
-        "bag", "ball", "basket", "bottle", "box", "bowl", "bucket", "candle", "crate", "figurine", "fruit", "hat",
-        "jar", "jug", "kettle", "lamp", "lantern", "mug", "neon", "night light", "plant", "shoe", "sign", "stone",
-        "tool", "toy", "vase", "watering can",
-    }
-)  # fmt: skip
+_THINGS = frozenset({
+    "bag", "ball", "basket", "bottle", "box", "bowl", "bucket", "candle", "crate", "figurine", "fruit", "hat",
+    "jar", "jug", "kettle", "lamp", "lantern", "mug", "neon", "night light", "plant", "shoe", "sign", "stone",
+    "tool", "toy", "vase", "watering can",
+})  # fmt: skip
 _FINISH = {"grass": "fabric", "deck": "wood", "sand": "rough stone", "asphalt": "rough stone", "gravel": "rough stone"}
 
 
@@ -61,7 +59,7 @@ def sample_outdoor(streams: Streams, library: AssetLibrary, *, index: int, setti
     )
 
 
-def _ground(rng: np.random.Generator, library: AssetLibrary, kind: str) -> tuple[tuple[Body, ...], tuple[float, float]]:
+def _ground(rng: Rng, library: AssetLibrary, kind: str) -> tuple[tuple[Body, ...], tuple[float, float]]:
     """Lay the ground, or a patio of it, a step above what is around; also return the stretch [m] to stand on."""
     if kind not in AROUND or rng.random() >= PATIO:
         ground = plane("ground", (GROUND, GROUND), _surface(rng, library, kind), level_pose(rng))
@@ -79,14 +77,14 @@ def _ground(rng: np.random.Generator, library: AssetLibrary, kind: str) -> tuple
     return tuple(bodies), (x - PATIO_EDGE, y - PATIO_EDGE)
 
 
-def _surface(rng: np.random.Generator, library: AssetLibrary, kind: str) -> Material:
+def _surface(rng: Rng, library: AssetLibrary, kind: str) -> Material:
     """Draw the material of a ground at its true scale."""
     info = pick_texture(rng, library, frozenset({kind}), laid=True)
     finish = _FINISH.get(kind, "stoneware")
     return sample_material(rng, finish, name=kind) if info is None else textured(rng, info, finish)
 
 
-def choose_pieces(rng: np.random.Generator, library: AssetLibrary) -> tuple[Standing, ...]:
+def choose_pieces(rng: Rng, library: AssetLibrary) -> tuple[Standing, ...]:
     """Draw one to three pieces of garden furniture and planters; as many as are installed."""
     large = [info for info in library.list("surrounding") if info.category in FURNITURE and _fits(info, PIECES)]
     chosen: list[Standing] = []
@@ -94,7 +92,7 @@ def choose_pieces(rng: np.random.Generator, library: AssetLibrary) -> tuple[Stan
     return tuple(chosen)
 
 
-def choose_for_ground(rng: np.random.Generator, library: AssetLibrary, wanted: Wanted, setting: Setting) -> Choice:
+def choose_for_ground(rng: Rng, library: AssetLibrary, wanted: Wanted, setting: Setting) -> Choice:
     """Draw objects of 10 to 62 cm for open ground; categories repeat only when they run out.
 
     Raises `PlacementError` where too few are installed.
@@ -121,7 +119,7 @@ def _things(library: AssetLibrary, wanted: Wanted) -> tuple[list[AssetInfo], lis
     return lamps, [info for info in usual if info.emissive_part is None]
 
 
-def _choose_insertable(rng: np.random.Generator, chosen: list[Standing], count: int, glowing: int | None) -> list[int]:
+def _choose_insertable(rng: Rng, chosen: list[Standing], count: int, glowing: int | None) -> list[int]:
     """Draw which objects are insertable, most often the glowing one among them."""
     fit = [i for i, item in enumerate(chosen) if i != glowing and _is_insertable(item.info)]
     picked = [] if glowing is None or rng.random() >= GLOWING_INSERTED else [glowing]
@@ -139,9 +137,7 @@ def _is_insertable(info: AssetInfo) -> bool:
     return info.size is not None and max(info.size) >= INSERTABLE and sorted(info.size)[1] >= THIN
 
 
-def _add(
-    rng: np.random.Generator, library: AssetLibrary, infos: list[AssetInfo], chosen: list[Standing], count: int
-) -> None:
+def _add(rng: Rng, library: AssetLibrary, infos: list[AssetInfo], chosen: list[Standing], count: int) -> None:
     """Draw until there are `count`: a category, a new one if possible, then an asset of it, then a resting pose."""
     left = list(infos)
     while left and len(chosen) < count:

@@ -9,7 +9,7 @@ from multilight.scenes.cameras.pinhole import camera_from_fov, look_at
 from multilight.scenes.frozen import Rgb
 from multilight.scenes.poses import direction_from, matrix4, translation
 from multilight.scenes.spec import Body, Camera, Material, Rectangle, SceneSpec, Sphere
-from multilight.scenes.streams import Streams
+from multilight.scenes.streams import Rng, Streams
 
 FIELD_OF_VIEW = math.radians(36.0)
 GROUND_SIZE = 6.0
@@ -33,7 +33,8 @@ def sample_spheres(streams: Streams, *, index: int, width: int, height: int, vie
             role="object",
             category="sphere",
             geometry=Sphere(radius=radius),
-            materials=(_diffuse(_vivid(rng)),),
+            # Of any hue, neither black nor brighter than paint.
+            materials=(_diffuse(colorsys.hsv_to_rgb(rng.uniform(), rng.uniform(0.2, 0.85), rng.uniform(0.35, 0.85))),),
             world_from_body=matrix4(translation((x, y, radius))),
             insertable=i < INSERTABLE,
         )
@@ -52,7 +53,7 @@ def sample_spheres(streams: Streams, *, index: int, width: int, height: int, vie
     return SceneSpec(kind="spheres", index=index, bodies=(*bodies, ground), cameras=cameras)
 
 
-def _place(rng: np.random.Generator, count: int) -> list[tuple[float, float, float]]:
+def _place(rng: Rng, count: int) -> list[tuple[float, float, float]]:
     """Draw (x, y, radius) in metres, largest distances between neighbours a few centimetres."""
     placed: list[tuple[float, float, float]] = []
     spread = 0.15
@@ -60,8 +61,7 @@ def _place(rng: np.random.Generator, count: int) -> list[tuple[float, float, flo
         radius = float(rng.uniform(0.04, 0.11))
         x, y = (float(v) for v in rng.uniform(-spread, spread, 2))
         # Two spheres on the ground touch where the distance between their feet is 2 sqrt(r1 r2).
-        clear = all(math.hypot(x - u, y - v) >= 2.0 * math.sqrt(radius * r) + _GAP for u, v, r in placed)
-        if clear:
+        if all(math.hypot(x - u, y - v) >= 2.0 * math.sqrt(radius * r) + _GAP for u, v, r in placed):
             placed.append((x, y, radius))
         else:
             spread += 0.005  # each refusal widens the field a little, so that the loop ends
@@ -73,20 +73,13 @@ def _diffuse(colour: Rgb) -> Material:
     return Material(name="diffuse", base_color=colour, roughness=1.0, ior=1.0)
 
 
-def _vivid(rng: np.random.Generator) -> Rgb:
-    """Draw a surface colour of any hue, neither black nor brighter than paint."""
-    return colorsys.hsv_to_rgb(rng.uniform(), rng.uniform(0.2, 0.85), rng.uniform(0.35, 0.85))
-
-
-def _arc(rng: np.random.Generator, spheres: np.ndarray, *, width: int, height: int, views: int) -> tuple[Camera, ...]:
+def _arc(rng: Rng, spheres: np.ndarray, *, width: int, height: int, views: int) -> tuple[Camera, ...]:
     """Place the cameras on the one of several random arcs whose views hide the least of any sphere."""
     arcs = [_random_arc(rng, spheres, width=width, height=height, views=views) for _ in range(_ARCS)]
     return max(arcs, key=lambda arc: min(_clearness(camera, spheres) for camera in arc))
 
 
-def _random_arc(
-    rng: np.random.Generator, spheres: np.ndarray, *, width: int, height: int, views: int
-) -> tuple[Camera, ...]:
+def _random_arc(rng: Rng, spheres: np.ndarray, *, width: int, height: int, views: int) -> tuple[Camera, ...]:
     """Draw an arc: azimuth, height and distance run evenly from a far view to the closest that shows all."""
     feet, radii = spheres[:, :2], spheres[:, 2]
     flat = (np.min(feet - radii[:, None], axis=0) + np.max(feet + radii[:, None], axis=0)) / 2

@@ -15,7 +15,7 @@ from multilight.scenes.still_life.planes import downward_pose, plane, upright_po
 from multilight.scenes.still_life.receivers import choose_receiver, with_receiver
 from multilight.scenes.still_life.sample import StillLifeSettings, sample_still_life
 from multilight.scenes.still_life.setting import Setting, flat_surface, make_body
-from multilight.scenes.streams import Streams, pick, weighted_pick
+from multilight.scenes.streams import Rng, Streams, pick, weighted_pick
 
 StudioKind = Literal["cyclorama", "roll", "table"]
 PROBABILITIES: dict[StudioKind, float] = {"cyclorama": 0.3, "roll": 0.3, "table": 0.4}
@@ -59,14 +59,14 @@ def sample_studio(streams: Streams, library: AssetLibrary, *, index: int, settin
     return sample_still_life(streams, library, build, kind="studio", index=index, settings=settings)
 
 
-def _paper(rng: np.random.Generator) -> Material:
+def _paper(rng: Rng) -> Material:
     """Draw a backdrop: paper mostly, sometimes painted cove or vinyl with a sheen."""
     colour = linear_from_hex(str(rng.choice(_PAPERS)))
     finish = "paper" if rng.random() < 0.75 else "paint"
     return sample_material(rng, finish, colour=colour, name="paper")
 
 
-def _room(rng: np.random.Generator, behind: float, closed: bool) -> list[Body]:
+def _room(rng: Rng, behind: float, closed: bool) -> list[Body]:
     """Build the studio itself: a floor, dim walls behind and on one side, `behind` [m] from the centre.
 
     Where something mirrors, the other walls and the ceiling are there too, so that it shows a room, not a void.
@@ -89,7 +89,7 @@ def _room(rng: np.random.Generator, behind: float, closed: bool) -> list[Body]:
     return bodies
 
 
-def _floor(rng: np.random.Generator, library: AssetLibrary, roll: bool, closed: bool) -> Setting:
+def _floor(rng: Rng, library: AssetLibrary, roll: bool, closed: bool) -> Setting:
     """Set up a sweep on the studio's floor; things stand on the paper."""
     size, asset = (ROLL, ROLL_ID) if roll else (STUDIO, SWEEP_ID)
     mesh = library.mesh(asset)
@@ -106,7 +106,7 @@ def _floor(rng: np.random.Generator, library: AssetLibrary, roll: bool, closed: 
     return Setting((*bodies, body), (), surface, on_paper, -np.pi / 2, BEFORE_SWEEP, most=MOST)
 
 
-def _table(rng: np.random.Generator, library: AssetLibrary, closed: bool) -> Setting:
+def _table(rng: Rng, library: AssetLibrary, closed: bool) -> Setting:
     """Set up a product table: a small sweep on a frame."""
     asset = pick(rng, TABLE_SWEEP_IDS)
     info, mesh = library.info(asset), library.mesh(asset)

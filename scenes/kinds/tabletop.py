@@ -15,7 +15,7 @@ from multilight.scenes.still_life.sample import StillLifeSettings, sample_still_
 from multilight.scenes.still_life.selection import choose_table
 from multilight.scenes.still_life.setting import Setting, make_body
 from multilight.scenes.still_life.surroundings import PROBABILITIES, SurroundingKind, sample_surrounding
-from multilight.scenes.streams import Streams, weighted_pick
+from multilight.scenes.streams import Rng, Streams, weighted_pick
 
 _TOPS = frozenset({"wood", "marble", "linen", "fabric", "laminate", "stone", "terrazzo", "cork"})
 _BACKED = frozenset({"counter", "nightstand", "sideboard"})
@@ -57,25 +57,12 @@ def _setting(
         table = table.model_copy(update={"materials": tuple(materials)})
     corners = body_triangles(table, library)[0]
     box = np.stack([corners.min(axis=0), corners.max(axis=0)])
-    around = sample_surrounding(streams(f"surrounding/{attempt}"), library, kind=kind, table=box)
-    return Setting(
-        bodies=(*around.bodies, table),
-        solids=("table",),
-        surface=surface,
-        world_from_surface=np.array(table.world_from_body),
-        front=around.front,
-        opening=around.opening,
-    )
+    bodies, front, opening = sample_surrounding(streams(f"surrounding/{attempt}"), library, kind=kind, table=box)
+    return Setting((*bodies, table), ("table",), surface, np.array(table.world_from_body), front, opening)
 
 
 def _table(
-    rng: np.random.Generator,
-    library: AssetLibrary,
-    info: AssetInfo,
-    mesh: Mesh,
-    surface: SupportSurface,
-    *,
-    aligned: bool,
+    rng: Rng, library: AssetLibrary, info: AssetInfo, mesh: Mesh, surface: SupportSurface, *, aligned: bool
 ) -> Body:
     """Put the table down, parallel to the walls where there are any, and draw its materials."""
     materials = list(body_materials(rng, library, info, mesh))

@@ -12,7 +12,7 @@ from multilight.scenes.materials.emission import emission_of
 from multilight.scenes.materials.textured import pick_texture, textured
 from multilight.scenes.meshes import Mesh
 from multilight.scenes.spec import Material, Texture
-from multilight.scenes.streams import weighted_pick
+from multilight.scenes.streams import Rng, weighted_pick
 
 GLOW = "glow"
 """Name of the material of a part that is meant to shine: the mark by which rigs find it."""
@@ -34,7 +34,7 @@ _REFINISHES = {
 
 
 def body_materials(
-    rng: np.random.Generator, library: AssetLibrary, info: AssetInfo, mesh: Mesh, *, glows: bool = False
+    rng: Rng, library: AssetLibrary, info: AssetInfo, mesh: Mesh, *, glows: bool = False
 ) -> tuple[Material, ...]:
     """Give each part of a mesh its material for this scene.
 
@@ -67,9 +67,7 @@ def _glowing(info: AssetInfo, material: Material) -> Material:
     return Material(name=GLOW, base_color=(0.8, 0.8, 0.8), roughness=0.6)
 
 
-def _varied(
-    rng: np.random.Generator, library: AssetLibrary, info: AssetInfo, material: Material, words: str, has_uv: bool
-) -> Material:
+def _varied(rng: Rng, library: AssetLibrary, info: AssetInfo, material: Material, words: str, has_uv: bool) -> Material:
     """Vary one material of an object about what the asset says of it."""
     own = info.pack == "builtin"
     if material.transmission > 0:
@@ -110,7 +108,7 @@ def with_derived_maps(material: Material, *, relief: bool) -> Material:
     return material.model_copy(update=update)
 
 
-def _varied_glass(rng: np.random.Generator, material: Material) -> Material:
+def _varied_glass(rng: Rng, material: Material) -> Material:
     """Leave most glass as it is; tint some, and frost a few."""
     chance = rng.random()
     if chance < 0.65 or material.base_color_texture is not None:
@@ -118,7 +116,7 @@ def _varied_glass(rng: np.random.Generator, material: Material) -> Material:
     return sample_material(rng, "tinted glass" if chance < 0.9 else "frosted glass", name=material.name)
 
 
-def _refinished(rng: np.random.Generator, library: AssetLibrary, info: AssetInfo, has_uv: bool) -> Material:
+def _refinished(rng: Rng, library: AssetLibrary, info: AssetInfo, has_uv: bool) -> Material:
     """Give a plain grey part a finish and a colour."""
     finish = weighted_pick(rng, _REFINISHES)
     if info.category in _GLASSWARE and rng.random() < 0.5:

@@ -12,11 +12,10 @@ to 1.66. Coats are lacquer, glaze or wax of index 1.5.
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from multilight.scenes.colour import linear_from_hex
 from multilight.scenes.frozen import Rgb
 from multilight.scenes.spec import Material
+from multilight.scenes.streams import Rng
 
 METALS: dict[str, Rgb] = {
     "titanium": (0.542, 0.497, 0.449),
@@ -91,9 +90,7 @@ FINISHES: dict[str, Finish] = {
 }
 
 
-def sample_material(
-    rng: np.random.Generator, finish: str, *, colour: Rgb | None = None, name: str | None = None
-) -> Material:
+def sample_material(rng: Rng, finish: str, *, colour: Rgb | None = None, name: str | None = None) -> Material:
     """Draw a material of a class of `FINISHES`: roughness, coat and index, and the colour where none is given.
 
     `colour` is linear Rec.709; metals get the reflectance of one of `METALS`, mirrors that of silver or aluminium.
@@ -120,6 +117,6 @@ def sample_material(
     )
 
 
-def painted_wall(rng: np.random.Generator) -> Material:
+def painted_wall(rng: Rng) -> Material:
     """Draw a wall paint."""
     return sample_material(rng, "wall", name="wall_paint")

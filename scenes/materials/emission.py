@@ -16,7 +16,7 @@ from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.meshes import Mesh, triangle_areas
 from multilight.scenes.spec import Texture
-from multilight.scenes.streams import log_uniform
+from multilight.scenes.streams import Rng, log_uniform, pick
 
 
 @dataclass(frozen=True)
@@ -83,9 +83,7 @@ def part_area(mesh: Mesh, part: int) -> float:
     return float(triangle_areas(mesh.parts[part].triangles().astype(np.float64)).sum())
 
 
-def sample_glow(
-    rng: np.random.Generator, library: AssetLibrary, info: AssetInfo, part: int, *, scale: float = 1.0
-) -> Glow:
+def sample_glow(rng: Rng, library: AssetLibrary, info: AssetInfo, part: int, *, scale: float = 1.0) -> Glow:
     """Draw how part `part` of an asset glows.
 
     Flux becomes luminance as for a Lambertian surface: flux = pi * area * luminance (McCluney 2014, ch. 1); `scale`
@@ -100,10 +98,10 @@ def sample_glow(
     return Glow(value, kelvin, coloured, _picture(rng, library, info, part) if emission.display else None)
 
 
-def _picture(rng: np.random.Generator, library: AssetLibrary, info: AssetInfo, part: int) -> Texture | None:
+def _picture(rng: Rng, library: AssetLibrary, info: AssetInfo, part: int) -> Texture | None:
     """Draw what a display shows: one of the pictures where its uv fills them, else what the asset itself shows."""
     shown = library.mesh(info.id).parts[part]
     if info.pack != "builtin":
         return shown.material.base_color_texture
     pictures = [found for found in library.list("texture") if found.category == emission_of(info).shows]
-    return Texture(image=pictures[int(rng.integers(len(pictures)))].id)
+    return Texture(image=pick(rng, pictures).id)

@@ -8,11 +8,12 @@ from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.materials.classes import sample_material
 from multilight.scenes.meshes import MeshPart, triangle_areas
 from multilight.scenes.spec import Material, Texture
+from multilight.scenes.streams import Rng, pick
 
 _LAID = ("board", "floor", "parquet", "plank")
 
 
-def textured(rng: np.random.Generator, info: AssetInfo, finish: str, *, metres_per_uv: float = 1.0) -> Material:
+def textured(rng: Rng, info: AssetInfo, finish: str, *, metres_per_uv: float = 1.0) -> Material:
     """Make a material of a library texture at its real size, on a surface whose uv unit is `metres_per_uv` long.
 
     Roughness comes from the texture's own map, or from one derived of its brightness, about a draw of the class.
@@ -33,9 +34,7 @@ def textured(rng: np.random.Generator, info: AssetInfo, finish: str, *, metres_p
     )
 
 
-def pick_texture(
-    rng: np.random.Generator, library: AssetLibrary, categories: frozenset[str], *, laid: bool
-) -> AssetInfo | None:
+def pick_texture(rng: Rng, library: AssetLibrary, categories: frozenset[str], *, laid: bool) -> AssetInfo | None:
     """Draw a texture of one of the categories: first the category, then the texture; None where there is none.
 
     `laid`: of wood take boards and parquet, as floors are; otherwise the grain of a single piece.
@@ -44,11 +43,11 @@ def pick_texture(
     present = sorted({info.category for info in found})
     if not present:
         return None
-    wanted = present[int(rng.integers(len(present)))]
+    wanted = pick(rng, present)
     choice = [info for info in found if info.category == wanted]
     if wanted == "wood":
         choice = [info for info in choice if any(word in info.id for word in _LAID) == laid] or choice
-    return choice[int(rng.integers(len(choice)))]
+    return pick(rng, choice)
 
 
 def metres_per_uv(part: MeshPart) -> float | None:

@@ -18,6 +18,7 @@ from multilight.scenes.arrays import Float64
 from multilight.scenes.geometry.solids import Placed, Solid
 from multilight.scenes.meshes import stacked, triangle_crosses
 from multilight.scenes.poses import apply_pose, pose_of
+from multilight.scenes.streams import Rng
 
 CELL = 0.004
 """Grid [m] of the height field."""
@@ -25,6 +26,7 @@ STEP = 0.002
 """Time step [s]."""
 BETWEEN, LONGEST = 0.25, 2.0
 """Seconds from one release to the next, and of waiting for rest after the last."""
+MOST_PIECES = 12
 DENSITY = 500.0
 """Of everything [kg/m³]: where things come to rest hardly depends on it."""
 STILL = (0.004, 0.06)
@@ -39,9 +41,7 @@ class Region:
     half: float
 
 
-def fall(
-    rng: np.random.Generator, movers: Sequence[Solid], fixed: Sequence[Placed], region: Region, *, spread: float
-) -> list[Float64]:
+def fall(rng: Rng, movers: Sequence[Solid], fixed: Sequence[Placed], region: Region, *, spread: float) -> list[Float64]:
     """Release bodies one after the other, in random rotations, within `spread` [m] of the region's centre.
 
     Returns each body's pose (4, 4) when all are at rest or time is up; some may have rolled out of the region.
@@ -55,7 +55,8 @@ def fall(
         angle, away = rng.uniform(0.0, 2 * np.pi), spread * np.sqrt(rng.random())
         spot = np.array(region.centre) + away * np.array([np.cos(angle), np.sin(angle)])
         top = _top_near(spot, reach, heights, low, region)
-        tops = [data.qpos[7 * i + 2] + _radius(movers[i]) for i in placed if _is_near(data, i, spot, movers, reach)]
+        states = [(data.qpos[7 * i : 7 * i + 3], _radius(movers[i])) for i in placed]
+        tops = [at[2] + wide for at, wide in states if np.linalg.norm(at[:2] - spot) < wide + reach]
         data.qpos[7 * number : 7 * number + 3] = [*spot, max([top, *tops]) + reach + 0.005]
         data.qpos[7 * number + 3 : 7 * number + 7] = np.roll(Rotation.random(random_state=rng).as_quat(), 1)
         data.qvel[6 * number : 6 * number + 6] = 0.0
@@ -68,11 +69,6 @@ def fall(
 
 def _radius(mover: Solid) -> float:
     return float(np.linalg.norm(np.maximum(np.abs(mover.low), np.abs(mover.high))))
-
-
-def _is_near(data: mujoco.MjData, index: int, spot: Float64, movers: Sequence[Solid], reach: float) -> bool:
-    """Tell whether a body that fell already lies below a spot (2,)."""
-    return bool(np.linalg.norm(data.qpos[7 * index : 7 * index + 2] - spot) < _radius(movers[index]) + reach)
 
 
 def _wait(model: mujoco.MjModel, data: mujoco.MjData) -> None:
@@ -112,12 +108,9 @@ def height_field(fixed: Sequence[Placed], region: Region) -> tuple[Float64, floa
 
 def _top_near(spot: Float64, reach: float, heights: Float64, low: float, region: Region) -> float:
     """Return the highest point of the height field within `reach` [m] of a spot (2,)."""
-    count = len(heights)
-    line = np.linspace(-region.half, region.half, count)
-    near = (np.abs(line + region.centre[1] - spot[1]) <= reach)[:, None] & (
-        np.abs(line + region.centre[0] - spot[0]) <= reach
-    )
-    return float(heights[near].max(initial=low))
+    line = np.linspace(-region.half, region.half, len(heights))
+    columns, rows = (np.abs(line + region.centre[i] - spot[i]) <= reach for i in (0, 1))
+    return float(heights[rows[:, None] & columns].max(initial=low))
 
 
 def _model(movers: Sequence[Solid], heights: Float64, low: float, region: Region) -> mujoco.MjModel:
@@ -146,10 +139,10 @@ def _model(movers: Sequence[Solid], heights: Float64, low: float, region: Region
     return spec.compile()
 
 
-def convex_pieces(mover: Solid, most: int = 12) -> list[Float64]:
+def convex_pieces(mover: Solid) -> list[Float64]:
     """Return the corners of the convex hulls of a mesh's largest pieces, small or flat ones joined to the whole.
 
-    Pieces inside others are left out. At most `most`; a mesh of more becomes one hull.
+    Pieces inside others are left out. A mesh of more than `MOST_PIECES` becomes one hull.
     """
     hulls: list[tuple[float, Float64]] = []
     for points in mover.pieces():
@@ -164,7 +157,7 @@ def convex_pieces(mover: Solid, most: int = 12) -> list[Float64]:
         inside = any((points >= o.min(axis=0)).all() and (points <= o.max(axis=0)).all() for o in outer)
         if volume > 1e-9 and not (inside and volume < 0.3 * hulls[0][0]):
             outer.append(points)
-    return outer if 0 < len(outer) <= most else [mover.vertices]
+    return outer if 0 < len(outer) <= MOST_PIECES else [mover.vertices]
 
 
 def _pose(state: Float64) -> Float64:

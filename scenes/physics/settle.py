@@ -10,6 +10,7 @@ from multilight.scenes.geometry.contact import support_of
 from multilight.scenes.geometry.overlap import boxes_meet, depth, gap, touching, way_out
 from multilight.scenes.geometry.solids import Placed, Solid
 from multilight.scenes.physics.fall import Region, fall
+from multilight.scenes.streams import Rng
 
 DEEPEST = 8e-4
 """No two bodies that were settled lie deeper in each other than this [m]; `geometry.contact` allows a millimetre."""
@@ -27,9 +28,7 @@ class Settled:
     dropped: dict[int, str]
 
 
-def settle(
-    rng: np.random.Generator, movers: Sequence[Solid], fixed: Sequence[Placed], region: Region, *, spread: float
-) -> Settled:
+def settle(rng: Rng, movers: Sequence[Solid], fixed: Sequence[Placed], region: Region, *, spread: float) -> Settled:
     """Let bodies fall in turn onto what is fixed, within `spread` [m] of the region's centre, and come to rest.
 
     What physics leaves is corrected against the true meshes: no body lies deeper than `DEEPEST` in another, and all
@@ -124,9 +123,10 @@ def stack(movers: Sequence[Solid], poses: Sequence[Float64], fixed: Sequence[Pla
     result: list[Float64 | None] = [None] * len(movers)
     for index, (mover, pose) in enumerate(zip(movers, poses, strict=True)):
         item = Placed(mover, pose)
-        below = _near_below(item, standing)
+        low, high = item.box
+        below = [other for other in standing if (other.box[0] <= high)[:2].all() and (other.box[1] >= low)[:2].all()]
         top = max(float(other.box[1][2]) for other in below) if below else 0.0
-        item = item.moved(np.array([0.0, 0.0, top - float(item.box[0][2]) + 1e-3]))
+        item = item.moved(np.array([0.0, 0.0, top - float(low[2]) + 1e-3]))
         item = lowered(item, below)
         below = [other for other in below if gap(item, other) < 2e-3]
         if support_of(item, _contacts(item, below)) is None or _deepest(item, below) > DEEPEST:
@@ -134,9 +134,3 @@ def stack(movers: Sequence[Solid], poses: Sequence[Float64], fixed: Sequence[Pla
         result[index] = item.pose
         standing.append(item)
     return Settled(tuple(result), {})
-
-
-def _near_below(item: Placed, standing: Sequence[Placed]) -> list[Placed]:
-    """Return what a body may meet as it comes down."""
-    low, high = item.box
-    return [other for other in standing if (other.box[0] <= high)[:2].all() and (other.box[1] >= low)[:2].all()]

@@ -6,6 +6,7 @@ from trimesh.collision import CollisionManager
 from multilight.scenes.arrays import Float64
 from multilight.scenes.poses import box_centre, pose_at
 from multilight.scenes.still_life.placement import Arrangement, PlacementError, Stage, Standing
+from multilight.scenes.streams import Rng
 
 # How large pieces stand [m, rad].
 GAP = 0.05  # smallest distance between the convex hulls of a piece and of anything else
@@ -15,9 +16,7 @@ DISTANCES, SPARE = np.arange(0.15, 2.0, 0.05), 0.12  # from the centre, outwards
 TRIES = 24
 
 
-def place_large_pieces(
-    rng: np.random.Generator, pieces: tuple[Standing, ...], group: Arrangement, stage: Stage
-) -> list[Float64]:
+def place_large_pieces(rng: Rng, pieces: tuple[Standing, ...], group: Arrangement, stage: Stage) -> list[Float64]:
     """Put each piece behind or beside the group, as near as it goes or a little further; add it to the group.
 
     Returns `world_from_body` (4, 4) of each. Raises `PlacementError` where one finds no place.
@@ -36,7 +35,7 @@ def place_large_pieces(
 
 
 def _spot(
-    rng: np.random.Generator,
+    rng: Rng,
     piece: Standing,
     probe: CollisionManager,
     group: Arrangement,

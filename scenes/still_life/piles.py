@@ -22,12 +22,12 @@ from multilight.scenes.materials import body_materials
 from multilight.scenes.meshes import Mesh
 from multilight.scenes.names import free_name
 from multilight.scenes.physics.fall import Region
-from multilight.scenes.physics.settle import Settled, settle, stack
+from multilight.scenes.physics.settle import settle, stack
 from multilight.scenes.poses import apply_pose, pose_at, translation
 from multilight.scenes.spec import Body, Material
 from multilight.scenes.still_life.placement import PlacementError, Standing
 from multilight.scenes.still_life.setting import make_body
-from multilight.scenes.streams import pick
+from multilight.scenes.streams import Rng, pick
 
 PileKind = Literal["fruit_bowl", "books", "plates", "bowls", "cups", "toys"]
 KINDS: tuple[PileKind, ...] = get_args(PileKind)
@@ -39,8 +39,9 @@ _NESTED: dict[PileKind, frozenset[str]] = {
     "bowls": frozenset({"bowl"}),
     "cups": frozenset({"cup", "tumbler"}),
 }
-FEWEST, TALLEST = 3, 0.45
-"""Things that make a pile; sum of the heights [m] of nested crockery, before it goes into each other."""
+WIDEST, FEWEST, TALLEST = 0.4, 3, 0.45
+"""How far across piles are [m], about; things that make one; sum of the heights [m] of nested crockery, before it goes
+into each other."""
 # Fractions, and distances [m].
 _NESTS = 0.7  # things stack well that rise by less of their height each
 _FILL = 0.75  # of a bowl's space, up to its rim, that its contents take
@@ -83,7 +84,7 @@ class Pile:
         )
 
     def bodies(
-        self, rng: np.random.Generator, library: AssetLibrary, world_from_pile: Float64, *, taken: Collection[str]
+        self, rng: Rng, library: AssetLibrary, world_from_pile: Float64, *, taken: Collection[str]
     ) -> list[Body]:
         """Make bodies of the members, the pile standing at `world_from_pile` (4, 4), under names that are not `taken`.
 
@@ -93,17 +94,12 @@ class Pile:
         result: list[Body] = []
         for member in self.members:
             info, mesh, pose = member.info, member.mesh, world_from_pile @ member.pile_from_body
-            known = drawn.get(info.id) if self.alike else None
+            known = drawn.get(info.id) if self.kind in _NESTED else None  # crockery is of one set
             drawn[info.id] = known or body_materials(rng, library, info, mesh)
             names = {*taken, *(body.name for body in result)}
             name = free_name(info.category, names, prefix="pile_", otherwise="object")
             result.append(make_body(name, "object", info, mesh, drawn[info.id], pose))
         return result
-
-    @property
-    def alike(self) -> bool:
-        """Whether the members are of one set, and should share their materials."""
-        return self.kind in _NESTED
 
     def standing(self) -> Standing:
         """Return the pile as one thing to place; its pose in the world times a member's in the pile is the member's."""
@@ -115,25 +111,23 @@ class Pile:
         return Standing(first.info, first.mesh, hull, np.eye(3), 0.0, footprint)
 
 
-def sample_pile(
-    rng: np.random.Generator, library: AssetLibrary, *, kind: PileKind | None = None, widest: float = 0.4
-) -> Pile:
-    """Draw and settle a pile of the given kind (None: of any) that is at most about `widest` [m] across.
+def sample_pile(rng: Rng, library: AssetLibrary, *, kind: PileKind | None = None) -> Pile:
+    """Draw and settle a pile of the given kind (None: of any) that is at most about `WIDEST` across.
 
     Every member is carried and none lies deeper than a millimetre in another. Raises `PlacementError` where too
     few suitable assets are installed or too few come to rest.
     """
-    drawn = KINDS[int(rng.integers(len(KINDS)))]
+    drawn = pick(rng, KINDS)
     kind = kind or drawn
     match kind:
         case "fruit_bowl":
-            pile = _fruit_bowl(rng, library, widest)
+            pile = _fruit_bowl(rng, library)
         case "toys":
-            pile = _heap(rng, library, widest)
+            pile = _heap(rng, library)
         case "books":
-            pile = _books(rng, library, widest)
+            pile = _books(rng, library)
         case "plates" | "bowls" | "cups":
-            pile = _crockery(rng, library, kind, widest)
+            pile = _crockery(rng, library, kind)
     if len(pile.members) < FEWEST:
         raise PlacementError(f"only {len(pile.members)} things of a pile of {kind} came to rest, need {FEWEST}")
     return pile
@@ -163,15 +157,15 @@ def _suitable(
     return found
 
 
-def _pick(rng: np.random.Generator, found: Sequence[tuple[AssetInfo, Mesh]], what: str) -> tuple[AssetInfo, Mesh]:
+def _pick(rng: Rng, found: Sequence[tuple[AssetInfo, Mesh]], what: str) -> tuple[AssetInfo, Mesh]:
     if not found:
         raise PlacementError(f"no {what} installed for a pile; run `multilight assets fetch`")
     return pick(rng, found)
 
 
-def _fruit_bowl(rng: np.random.Generator, library: AssetLibrary, widest: float) -> Pile:
+def _fruit_bowl(rng: Rng, library: AssetLibrary) -> Pile:
     """Fill a bowl with fruit up to a little over its rim."""
-    bowls = [b for b in _suitable(library, frozenset({"bowl"}), (0.15, widest)) if _is_hollow(b[1])]
+    bowls = [b for b in _suitable(library, frozenset({"bowl"}), (0.15, WIDEST)) if _is_hollow(b[1])]
     info, mesh = _pick(rng, bowls, "bowl")
     low, high = mesh.bounds().astype(float)
     space = _HOLLOW * float(np.prod(high - low)) * _FILL
@@ -187,18 +181,13 @@ def _fruit_bowl(rng: np.random.Generator, library: AssetLibrary, widest: float) 
     region = Region((0.0, 0.0), 1.1 * radius)
     bowl = Placed(_solid(mesh), np.eye(4))
     settled = settle(rng, [_solid(m) for _, m in chosen], [_plane(), bowl], region, spread=0.35 * radius)
-    inside = _within(settled, radius)
-    return _pile("fruit_bowl", [(info, mesh), *chosen], Settled((np.eye(4), *inside.poses), inside.dropped))
 
-
-def _within(settled: Settled, radius: float) -> Settled:
-    """Drop what came to rest beside the bowl; what is in it does not rest on that."""
-
+    # What came to rest beside the bowl is dropped; what is in it does not rest on that.
     def inside(pose: Float64 | None) -> bool:
         return pose is not None and bool(np.hypot(pose[0, 3], pose[1, 3]) < radius and pose[2, 3] > 0.004)
 
-    poses = tuple(pose if inside(pose) else None for pose in settled.poses)
-    return Settled(poses, settled.dropped)
+    poses = [np.eye(4), *(pose if inside(pose) else None for pose in settled.poses)]
+    return _pile("fruit_bowl", [(info, mesh), *chosen], poses)
 
 
 def _is_hollow(mesh: Mesh) -> bool:
@@ -209,29 +198,31 @@ def _is_hollow(mesh: Mesh) -> bool:
     return bool(face >= 0 and solid.triangles[face, :, 2].max() < 0.5 * height)
 
 
-def _heap(rng: np.random.Generator, library: AssetLibrary, widest: float) -> Pile:
-    """Pour small toys on one spot."""
+def _heap(rng: Rng, library: AssetLibrary) -> Pile:
+    """Pour small toys on one spot; the heap's centre stands over the origin."""
     toys = _suitable(library, _TOYS, (0.025, 0.11))
     chosen = [_pick(rng, toys, "toys") for _ in range(int(rng.integers(8, 14)))]
-    region = Region((0.0, 0.0), widest / 2)
-    settled = settle(rng, [_solid(m) for _, m in chosen], [_plane()], region, spread=0.05 * widest)
-    return _centred(_pile("toys", chosen, settled))
+    region = Region((0.0, 0.0), WIDEST / 2)
+    settled = settle(rng, [_solid(m) for _, m in chosen], [_plane()], region, spread=0.05 * WIDEST)
+    found = [pose[:2, 3] for pose in settled.poses if pose is not None]
+    shift = translation((*-np.mean(found, axis=0), 0.0)) if found else np.eye(4)
+    return _pile("toys", chosen, [None if pose is None else shift @ pose for pose in settled.poses])
 
 
-def _books(rng: np.random.Generator, library: AssetLibrary, widest: float) -> Pile:
+def _books(rng: Rng, library: AssetLibrary) -> Pile:
     """Lay books on each other, the largest lowest, roughly in line."""
-    found = _suitable(library, frozenset({"book"}), (0.1, widest))
+    found = _suitable(library, frozenset({"book"}), (0.1, WIDEST))
     chosen = [_pick(rng, found, "books") for _ in range(int(rng.integers(3, 7)))]
     chosen.sort(key=lambda entry: -float(np.prod(np.ptp(entry[1].bounds(), axis=0)[:2])))
     poses = [_rotated(rng, spread=0.12, shift=0.008) for _ in chosen]
     made: dict[str, Solid] = {}
     solids = [made.setdefault(info.id, _solid(mesh)) for info, mesh in chosen]
-    return _pile("books", chosen, stack(solids, poses, [_plane()]))
+    return _pile("books", chosen, stack(solids, poses, [_plane()]).poses)
 
 
-def _crockery(rng: np.random.Generator, library: AssetLibrary, kind: PileKind, widest: float) -> Pile:
+def _crockery(rng: Rng, library: AssetLibrary, kind: PileKind) -> Pile:
     """Put one sort of plate, bowl or cup into itself."""
-    found = _suitable(library, _NESTED[kind], (0.06, widest))
+    found = _suitable(library, _NESTED[kind], (0.06, WIDEST))
     found = [item for item in found if kind == "plates" or _is_hollow(item[1])]
     count = int(rng.integers(3, 7))
     for number in rng.permutation(len(found)):
@@ -243,29 +234,19 @@ def _crockery(rng: np.random.Generator, library: AssetLibrary, kind: PileKind, w
         poses = [_rotated(rng, spread=spread, shift=shift) for _ in range(count)]
         poses = poses[: max(FEWEST, int(TALLEST / height))]
         count = len(poses)
-        pile = _pile(kind, [found[int(number)]] * count, stack([_solid(mesh)] * count, poses, [_plane()]))
+        pile = _pile(kind, [found[int(number)]] * count, stack([_solid(mesh)] * count, poses, [_plane()]).poses)
         if len(pile.members) >= FEWEST and pile.members[1].pile_from_body[2, 3] < _NESTS * height:
             return pile
     raise PlacementError(f"no {kind} installed that go into one another; run `multilight assets fetch`")
 
 
-def _rotated(rng: np.random.Generator, *, spread: float, shift: float) -> Float64:
+def _rotated(rng: Rng, *, spread: float, shift: float) -> Float64:
     """Draw a pose (4, 4): rotated by about `spread` [rad], every second one by half a circle more, and shifted [m]."""
     angle = rng.normal(0.0, spread) + (np.pi if rng.random() < 0.5 else 0.0)
     return pose_at(rng.normal(0.0, shift, 2), 0.0, angle)
 
 
-def _pile(kind: PileKind, chosen: Sequence[tuple[AssetInfo, Mesh]], settled: Settled) -> Pile:
-    pairs = list(zip(chosen, settled.poses, strict=True))
+def _pile(kind: PileKind, chosen: Sequence[tuple[AssetInfo, Mesh]], poses: Sequence[Float64 | None]) -> Pile:
+    pairs = list(zip(chosen, poses, strict=True))
     members = tuple(Member(info, mesh, pose) for (info, mesh), pose in pairs if pose is not None)
     return Pile(kind, members, tuple(info.id for (info, _), pose in pairs if pose is None))
-
-
-def _centred(pile: Pile) -> Pile:
-    """Shift a pile so that its centre stands over the origin."""
-    if not pile.members:
-        return pile
-    centre = np.mean([m.pile_from_body[:2, 3] for m in pile.members], axis=0)
-    shift = translation((*-centre, 0.0))
-    members = tuple(Member(m.info, m.mesh, shift @ m.pile_from_body) for m in pile.members)
-    return Pile(pile.kind, members, pile.dropped)

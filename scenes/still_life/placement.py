@@ -1,6 +1,6 @@
 """Standing objects on a table: resting poses, stability, and a clustered still life without interpenetration."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,6 +15,7 @@ from multilight.scenes.geometry.solids import Solid
 from multilight.scenes.geometry.support_surfaces import SupportSurface, convex_polygon, stacked_faces, stands
 from multilight.scenes.meshes import Mesh
 from multilight.scenes.poses import about_z, pose_of
+from multilight.scenes.streams import Rng
 
 CONTACT = 6e-4
 """Vertices this close [m] to the lowest one carry the object: less than what counts as contact (`geometry.contact`)."""
@@ -112,21 +113,16 @@ def resting_poses(info: AssetInfo, mesh: Mesh) -> list[Standing]:
     standing = [pose for rotation in rotations if (pose := _standing(info, mesh, hull, centre, rotation)) is not None]
     if standing:
         return standing
-    tipped = (_standing(info, mesh, hull, centre, rotation) for rotation in _tipping(hull))
+    normals = np.asarray(hull.face_normals)
+    flattest = normals[np.argsort(normals[:, 2])[:TIPS]]
+    tilted = flattest[flattest[:, 2] < -np.cos(TIPPING)]  # faces that all but lie on the ground already
+    tipped = (_standing(info, mesh, hull, centre, _facing_down(normal)) for normal in tilted)
     return [pose for pose in tipped if pose is not None][:1]
 
 
 def _facing_down(normal: Float64) -> Float64:
     """Return the rotation (3, 3) that makes a face of that normal (3,) look down."""
     return np.asarray(Rotation.align_vectors([[0, 0, -1]], [normal])[0].as_matrix())
-
-
-def _tipping(hull: Trimesh) -> Iterator[Float64]:
-    """Yield the rotations (3, 3) that lay a face on the ground which all but lies there already, the flattest first."""
-    normals = np.asarray(hull.face_normals)
-    for face in np.argsort(normals[:, 2])[:TIPS]:
-        if normals[face, 2] < -np.cos(TIPPING):
-            yield _facing_down(normals[face])
 
 
 def _standing(info: AssetInfo, mesh: Mesh, hull: Trimesh, centre: Float64, rotation: Float64) -> Standing | None:
@@ -141,7 +137,7 @@ def _standing(info: AssetInfo, mesh: Mesh, hull: Trimesh, centre: Float64, rotat
     return Standing(info, mesh, posed, rotation, -lowest, footprint)
 
 
-def arrange(rng: np.random.Generator, objects: Sequence[Standing], stage: Stage) -> Arrangement:
+def arrange(rng: Rng, objects: Sequence[Standing], stage: Stage) -> Arrangement:
     """Group objects closely about the focus, in the order given.
 
     Every object stands wholly on the surface, at least `GAP` from all others, most 1 to 12 cm from a neighbour.
@@ -170,14 +166,14 @@ def arrange(rng: np.random.Generator, objects: Sequence[Standing], stage: Stage)
     return group
 
 
-def _facing(rng: np.random.Generator, front: Float64) -> float:
+def _facing(rng: Rng, front: Float64) -> float:
     """Draw a yaw [rad]: most have their front (-Y, as assets come) roughly to the cameras."""
     if rng.random() < AVERTED:
         return float(rng.uniform(0.0, 2 * np.pi))
     return float(np.arctan2(front[1], front[0]) + np.pi / 2 + rng.normal(0.0, SLACK))
 
 
-def _spot(rng: np.random.Generator, footprints: list[Float64], footprint: Float64, focus: Float64) -> Float64:
+def _spot(rng: Rng, footprints: list[Float64], footprint: Float64, focus: Float64) -> Float64:
     """Draw a place close beside one of the objects that stand already (the first: near the focus)."""
     if not footprints:
         return focus + rng.normal(0.0, 0.02, 2)
@@ -192,7 +188,7 @@ def _spot(rng: np.random.Generator, footprints: list[Float64], footprint: Float6
     return away * reach + across * slide
 
 
-def _cost(rng: np.random.Generator, item: Standing, spot: Float64, stage: Stage) -> float:
+def _cost(rng: Rng, item: Standing, spot: Float64, stage: Stage) -> float:
     """Rate a place: near the focus, tall things behind, low ones in front, with some chance."""
     offset = spot - stage.focus
     forward = float(offset @ stage.front)

@@ -1,10 +1,12 @@
 """Rectangles that grounds, floors, walls, ceilings and skirting boards are made of."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from multilight.scenes.arrays import Float64
 from multilight.scenes.poses import matrix4, pose_of
 from multilight.scenes.spec import Body, Material, Rectangle
+from multilight.scenes.streams import Rng
 
 Pair = tuple[float, float]
 
@@ -21,7 +23,7 @@ def plane(name: str, size: Pair, material: Material, pose: Float64) -> Body:
     )
 
 
-def level_pose(rng: np.random.Generator) -> Float64:
+def level_pose(rng: Rng) -> Float64:
     """Return the identity (4, 4), or a quarter of a rotation about +Z: boards and slabs run along either axis."""
     pose = np.eye(4)
     if rng.random() < 0.5:
@@ -34,13 +36,15 @@ def downward_pose(x: float, y: float, height: float) -> Float64:
     return pose_of(np.diag([1.0, -1.0, -1.0]), (x, y, height))
 
 
-def upright_pose(position: tuple[float, float, float], inward: Pair) -> Float64:
+def upright_pose(position: ArrayLike, inward: Pair | Float64) -> Float64:
     """Return the pose (4, 4) of an upright rectangle centred at `position` that faces along `inward`."""
     normal, up = np.array([*inward, 0.0]), np.array([0.0, 0.0, 1.0])
     return pose_of(np.stack([np.cross(up, normal), up, normal], axis=1), position)
 
 
-def skirting(name: str, foot: Pair, inward: Pair, size: tuple[float, float, float], material: Material) -> list[Body]:
+def skirting(
+    name: str, foot: Pair | Float64, inward: Pair | Float64, size: tuple[float, float, float], material: Material
+) -> list[Body]:
     """Run a board along a wall: its face and its upper edge.
 
     It stands before the point `foot` (x, y) of the wall, which looks along `inward`, and is `size` (length, height,
@@ -52,7 +56,5 @@ def skirting(name: str, foot: Pair, inward: Pair, size: tuple[float, float, floa
     edge = np.eye(4)
     edge[:3, 0], edge[:3, 1] = face[:3, 0], -face[:3, 2]
     edge[:3, 3] = [x + across * thickness / 2, y + ahead * thickness / 2, height]
-    return [
-        plane(name, (length, height), material, face),
-        plane(f"{name}_top", (length, thickness), material, edge),
-    ]
+    top = plane(f"{name}_top", (length, thickness), material, edge)
+    return [plane(name, (length, height), material, face), top]

@@ -10,7 +10,7 @@ from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.materials import metres_per_uv, pick_texture, sample_material, textured
 from multilight.scenes.spec import Material
 from multilight.scenes.still_life.placement import Standing, resting_poses
-from multilight.scenes.streams import pick, weighted_pick
+from multilight.scenes.streams import Rng, pick, weighted_pick
 
 EDGE = 0.008
 """Smallest distance [m] of an object's footprint to the plinth's edge."""
@@ -28,7 +28,7 @@ class Raised:
     standing: Standing
     plinth: AssetInfo | None = None
 
-    def material(self, rng: np.random.Generator, library: AssetLibrary) -> Material:
+    def material(self, rng: Rng, library: AssetLibrary) -> Material:
         """Draw what the plinth is made of."""
         assert self.plinth is not None
         finish = weighted_pick(rng, _FINISHES)
@@ -39,7 +39,7 @@ class Raised:
         return sample_material(rng, finish)
 
 
-def raise_some(rng: np.random.Generator, library: AssetLibrary, items: list[Standing], fraction: float) -> list[Raised]:
+def raise_some(rng: Rng, library: AssetLibrary, items: list[Standing], fraction: float) -> list[Raised]:
     """Put a fraction of the objects that plinths can carry on plinths."""
     if fraction == 0:
         return [Raised(item) for item in items]
@@ -47,17 +47,13 @@ def raise_some(rng: np.random.Generator, library: AssetLibrary, items: list[Stan
     result = []
     for item in items:
         reach = float(np.linalg.norm(item.footprint, axis=1).max()) + EDGE
-        fit = [info for info in plinths if info.size is not None and _inner(info.size) >= reach]
+        # What a plinth surely covers is a hexagon's inner circle.
+        fit = [info for info in plinths if info.size and 0.5 * min(info.size[:2]) * np.cos(np.pi / 6) >= reach]
         if fit and item.info.role == "object" and item.height <= TALLEST and rng.random() < fraction:
             result.append(_on(item, pick(rng, fit[:FITTING]), library))
         else:
             result.append(Raised(item))
     return result
-
-
-def _inner(size: tuple[float, float, float]) -> float:
-    """Return a radius [m] that a plinth of that size surely covers: that of a hexagon's inner circle."""
-    return 0.5 * min(size[0], size[1]) * float(np.cos(np.pi / 6))
 
 
 def _on(item: Standing, plinth: AssetInfo, library: AssetLibrary) -> Raised:

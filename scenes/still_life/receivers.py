@@ -17,7 +17,7 @@ from multilight.scenes.poses import about_z, apply_pose, pose_at
 from multilight.scenes.spec import Material
 from multilight.scenes.still_life.placement import PlacementError
 from multilight.scenes.still_life.setting import Setting, make_body, without_box
-from multilight.scenes.streams import pick, weighted_pick
+from multilight.scenes.streams import Rng, pick, weighted_pick
 
 ReceiverKind = Literal[
     "none", "mirror top", "mirror plate", "chrome tray", "standing mirror", "glass top", "glass plate",
@@ -44,13 +44,13 @@ MOST_PLACES = 250
 """Places on a surface that are tried for one, about."""
 
 
-def choose_receiver(rng: np.random.Generator, *, loose: bool = False) -> ReceiverKind:
+def choose_receiver(rng: Rng, *, loose: bool = False) -> ReceiverKind:
     """Draw a receiver; `loose`: where there is no table top to change, plates stand in."""
     kind = weighted_pick(rng, PROBABILITIES)
     return _INSTEAD_OF_TOPS.get(kind, kind) if loose else kind
 
 
-def receiver_material(rng: np.random.Generator, kind: ReceiverKind) -> Material:
+def receiver_material(rng: Rng, kind: ReceiverKind) -> Material:
     """Draw what a receiver is made of."""
     match kind:
         case "mirror top" | "mirror plate" | "standing mirror":
@@ -69,7 +69,7 @@ def receiver_material(rng: np.random.Generator, kind: ReceiverKind) -> Material:
             return sample_material(rng, "lacquer")
 
 
-def with_receiver(rng: np.random.Generator, library: AssetLibrary, setting: Setting, kind: ReceiverKind) -> Setting:
+def with_receiver(rng: Rng, library: AssetLibrary, setting: Setting, kind: ReceiverKind) -> Setting:
     """Put a plate, a tray or a standing mirror on a setting's surface; objects then stand on it, or before it.
 
     Raises `PlacementError` where it does not fit.
@@ -101,7 +101,7 @@ def with_receiver(rng: np.random.Generator, library: AssetLibrary, setting: Sett
     return replace(setting, surface=surface, world_from_surface=pose, most=min(setting.most, MOST_ON_PLATE))
 
 
-def _pose_for(rng: np.random.Generator, setting: Setting, low: Float64, high: Float64, *, behind: bool) -> Float64:
+def _pose_for(rng: Rng, setting: Setting, low: Float64, high: Float64, *, behind: bool) -> Float64:
     """Find where a box fits wholly on the surface, in its frame (4, 4): its centre, or the back, facing the front.
 
     Raises `PlacementError` where it fits nowhere.

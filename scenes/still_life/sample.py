@@ -4,7 +4,7 @@ What the kinds of scene share. Each kind builds a `Setting`, all that is there b
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -27,10 +27,7 @@ from multilight.scenes.still_life.placement import arrange
 from multilight.scenes.still_life.plinths import Raised, raise_some
 from multilight.scenes.still_life.selection import Choice, Wanted, choose_objects
 from multilight.scenes.still_life.setting import Setting, make_body
-from multilight.scenes.streams import Streams
-
-if TYPE_CHECKING:
-    from multilight.scenes.still_life.piles import Pile
+from multilight.scenes.streams import Rng, Streams
 
 ATTEMPTS = 12
 PILED = 4
@@ -57,7 +54,7 @@ class StillLifeSettings(SceneSettings):
         return self
 
 
-Chooser = Callable[[np.random.Generator, AssetLibrary, Wanted, Setting], Choice]
+Chooser = Callable[[Rng, AssetLibrary, Wanted, Setting], Choice]
 
 
 def sample_still_life(
@@ -112,7 +109,11 @@ def _arranged(
     # Large things first: small ones find room between them.
     bulk = [np.prod(np.ptp(item.standing.footprint, axis=0)) * rng.uniform(0.6, 1.6) for item in lifted]
     order = [int(i) for i in np.argsort(bulk)[::-1]]
-    pile = _pile(streams(f"pile/{attempt}"), library) if wanted.piled else None
+    pile = None
+    if wanted.piled:
+        from multilight.scenes.still_life.piles import sample_pile  # brings the physics, which few scenes need
+
+        pile = sample_pile(streams(f"pile/{attempt}"), library)
     group = arrange(rng, [*([pile.standing()] if pile else []), *(lifted[i].standing for i in order)], stage)
     poses = dict(zip(order, group.poses[1 if pile else 0 :], strict=True))
     bodies = _plinths(streams(f"plinths/{attempt}"), library, lifted, poses, stage.height)
@@ -135,14 +136,8 @@ def _arranged(
     return bodies, _subject(streams(f"probes/{attempt}"), library, setting, bodies, group.solids)
 
 
-def _pile(rng: np.random.Generator, library: AssetLibrary) -> "Pile":
-    from multilight.scenes.still_life.piles import sample_pile  # brings the physics, which few scenes need
-
-    return sample_pile(rng, library)
-
-
 def _plinths(
-    rng: np.random.Generator, library: AssetLibrary, items: list[Raised], poses: dict[int, Float64], height: float
+    rng: Rng, library: AssetLibrary, items: list[Raised], poses: dict[int, Float64], height: float
 ) -> list[Body]:
     """Put the plinths where their objects came to stand."""
     bodies: list[Body] = []
@@ -156,9 +151,7 @@ def _plinths(
     return bodies
 
 
-def _subject(
-    rng: np.random.Generator, library: AssetLibrary, setting: Setting, added: list[Body], solids: CollisionManager
-) -> Subject:
+def _subject(rng: Rng, library: AssetLibrary, setting: Setting, added: list[Body], solids: CollisionManager) -> Subject:
     """Collect what the trajectory must show and avoid."""
     bodies = [*setting.bodies, *added]
     points = {i: surface_points(b, library, rng, 64) for i, b in enumerate(bodies) if b.role == "object"}

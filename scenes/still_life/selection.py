@@ -11,7 +11,7 @@ from multilight.scenes.geometry.support_surfaces import SupportError, SupportSur
 from multilight.scenes.meshes import Mesh
 from multilight.scenes.still_life.placement import PlacementError, Standing, resting_poses
 from multilight.scenes.still_life.setting import Setting
-from multilight.scenes.streams import pick
+from multilight.scenes.streams import Rng, pick
 
 SMALLEST, LARGEST = 0.02, 0.55
 """Longest side [m] of objects that may stand on a table."""
@@ -42,7 +42,7 @@ class Wanted:
     piled: bool = False
 
 
-def draw_by_category(rng: np.random.Generator, infos: Sequence[AssetInfo], *, evenly: bool = True) -> AssetInfo:
+def draw_by_category(rng: Rng, infos: Sequence[AssetInfo], *, evenly: bool = True) -> AssetInfo:
     """Draw a category, then one of its assets, of at least one.
 
     Categories are as likely as each other, or else in proportion to the square root of their numbers of members.
@@ -52,8 +52,7 @@ def draw_by_category(rng: np.random.Generator, infos: Sequence[AssetInfo], *, ev
     if evenly:
         wanted = pick(rng, categories)
     else:
-        weights = np.sqrt([names.count(category) for category in categories])
-        wanted = categories[int(rng.choice(len(categories), p=weights / weights.sum()))]
+        wanted = pick(rng, categories, np.sqrt([names.count(category) for category in categories]))
     return pick(rng, [info for info in infos if info.category == wanted])
 
 
@@ -64,7 +63,7 @@ def unused(infos: list[AssetInfo], chosen: Sequence[Standing]) -> list[AssetInfo
 
 
 def draw_standing(
-    rng: np.random.Generator, library: AssetLibrary, info: AssetInfo, *, as_it_comes: float = AS_IT_COMES
+    rng: Rng, library: AssetLibrary, info: AssetInfo, *, as_it_comes: float = AS_IT_COMES
 ) -> Standing | None:
     """Load an object and draw one of its resting poses, its own most often; None where it is broken or falls over."""
     try:
@@ -76,7 +75,7 @@ def draw_standing(
     return poses[0] if rng.random() < as_it_comes else pick(rng, poses)
 
 
-def choose_table(rng: np.random.Generator, library: AssetLibrary) -> tuple[AssetInfo, Mesh, SupportSurface]:
+def choose_table(rng: Rng, library: AssetLibrary) -> tuple[AssetInfo, Mesh, SupportSurface]:
     """Draw a table that has a free surface of at least 0.4 x 0.4 m, category first.
 
     Raises `PlacementError` where no installed table has one.
@@ -94,7 +93,7 @@ def choose_table(rng: np.random.Generator, library: AssetLibrary) -> tuple[Asset
     raise PlacementError(f"no usable table among {len(refused)} installed; the last: {(refused or ['none'])[-1]}")
 
 
-def choose_objects(rng: np.random.Generator, library: AssetLibrary, wanted: Wanted, setting: Setting) -> Choice:
+def choose_objects(rng: Rng, library: AssetLibrary, wanted: Wanted, setting: Setting) -> Choice:
     """Draw different objects of table size, for the free surface.
 
     None glows unless that is wanted and an installed asset can. The first is tall, the second small, the rest
@@ -163,7 +162,7 @@ def _footprint(info: AssetInfo) -> float:
     return _size(info)[0] * _size(info)[1]
 
 
-def _choose_insertable(rng: np.random.Generator, chosen: list[Standing], count: int, glowing: int | None) -> list[int]:
+def _choose_insertable(rng: Rng, chosen: list[Standing], count: int, glowing: int | None) -> list[int]:
     """Draw which objects are insertable, most often the glowing one among them."""
     fit = [i for i, item in enumerate(chosen) if _is_insertable(item.info)]
     if len(fit) < count:

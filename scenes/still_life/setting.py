@@ -13,6 +13,7 @@ from multilight.scenes.meshes import Mesh
 from multilight.scenes.poses import matrix4
 from multilight.scenes.spec import Body, Material, MeshAsset, Role, SceneSpec
 from multilight.scenes.still_life.placement import Stage, Standing
+from multilight.scenes.streams import Rng
 
 FOCUS_CLEARANCE = 0.34
 """Distance [m] from the edges of a surface beyond which a still life may be centred anywhere: half of its width."""
@@ -38,7 +39,7 @@ class Setting:
     raised: float = 0.0
     large_pieces: tuple[Standing, ...] = ()
 
-    def stage(self, rng: np.random.Generator) -> Stage:
+    def stage(self, rng: Rng) -> Stage:
         """Choose the focus of the still life: well inside the surface, rather towards the cameras."""
         pose = self.world_from_surface
         front = np.array([np.cos(self.front), np.sin(self.front)])

@@ -4,7 +4,6 @@ Everything is laid out in a frame whose origin lies on the floor below the table
 -Y; walls stand behind (+Y) and beside the table.
 """
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -17,6 +16,7 @@ from multilight.scenes.materials import painted_wall, pick_texture, textured
 from multilight.scenes.spec import Body, Material
 from multilight.scenes.still_life.planes import level_pose, plane, skirting, upright_pose
 from multilight.scenes.still_life.setting import make_body
+from multilight.scenes.streams import Rng
 
 SurroundingKind = Literal["ground", "corner", "backdrop"]
 PROBABILITIES: dict[SurroundingKind, float] = {"ground": 0.2, "corner": 0.5, "backdrop": 0.3}
@@ -44,46 +44,37 @@ SWEEP_SCALE, SWEEP_BEHIND = (0.9, 1.3), (0.9, 1.4)  # against the studio's own; 
 SWEEP_LIFT = 0.0003  # air below the paper, so that no two surfaces coincide
 
 
-@dataclass(frozen=True)
-class Surrounding:
-    """Bodies around the table, and where cameras may stand: within `opening` [rad] of azimuth `front` [rad]."""
-
-    bodies: tuple[Body, ...]
-    front: float
-    opening: float
+Surrounding = tuple[tuple[Body, ...], float, float]
+"""Bodies around the table, and where cameras may stand: the azimuth of their front, and how far to its sides [rad]."""
 
 
-def sample_surrounding(
-    rng: np.random.Generator, library: AssetLibrary, *, kind: SurroundingKind, table: Float64
-) -> Surrounding:
+def sample_surrounding(rng: Rng, library: AssetLibrary, *, kind: SurroundingKind, table: Float64) -> Surrounding:
     """Build a surrounding about a table whose lowest and highest corner are `table` (2, 3) [m]."""
     match kind:
         case "ground":
-            floor = _floor(rng, library, "ground", size=GROUND)
-            return Surrounding((floor,), front=-np.pi / 2, opening=np.pi)
+            return (_floor(rng, library, "ground", size=GROUND),), -np.pi / 2, np.pi
         case "corner":
             return _corner(rng, library, table)
         case "backdrop":
             return _backdrop(rng, library, table)
 
 
-def _floor(rng: np.random.Generator, library: AssetLibrary, place: str, *, size: float) -> Body:
+def _floor(rng: Rng, library: AssetLibrary, place: str, *, size: float) -> Body:
     """Make a square floor at z = 0 of a library texture (plain concrete grey where there is none)."""
     info = pick_texture(rng, library, _FLOORS[place], laid=True)
-    if info is None:
-        material = Material(name="concrete", base_color=linear_from_hex("9a958c"), roughness=0.7)
-    else:
+    material = Material(name="concrete", base_color=linear_from_hex("9a958c"), roughness=0.7)
+    if info is not None:
         material = textured(rng, info, _FINISH.get(info.category, "floor"))
     return plane("floor", (size, size), material, level_pose(rng))
 
 
-def _wall_material(rng: np.random.Generator, library: AssetLibrary) -> Material:
+def _wall_material(rng: Rng, library: AssetLibrary) -> Material:
     """Draw paint or a wall texture."""
     info = pick_texture(rng, library, _WALLS, laid=True) if rng.random() < TEXTURED_WALL else None
     return painted_wall(rng) if info is None else textured(rng, info, "wall")
 
 
-def _corner(rng: np.random.Generator, library: AssetLibrary, table: Float64) -> Surrounding:
+def _corner(rng: Rng, library: AssetLibrary, table: Float64) -> Surrounding:
     """Build a floor and two or three walls with skirting boards; the front, the top and maybe a side are open."""
     height = rng.uniform(*HEIGHT)
     back = float(table[1, 1]) + BEHIND + BEHIND_MORE * rng.beta(1.0, 2.0)
@@ -94,7 +85,8 @@ def _corner(rng: np.random.Generator, library: AssetLibrary, table: Float64) -> 
     deep = rng.uniform(*SIDE_WALL)
     three = rng.random() < THREE_WALLS
     wall, accent = _wall_material(rng, library), _wall_material(rng, library)
-    board = _skirting_material(rng)
+    stain = linear_from_hex(str(rng.choice(_SKIRTINGS)))
+    board = Material(name="skirting", base_color=stain, roughness=float(rng.uniform(0.25, 0.5)))
     beside = wall if rng.random() < ONE_FINISH else accent
     bodies = [_floor(rng, library, "corner", size=FLOOR)]
     plan = [("back", (side * (near - far) / 2, back), (0.0, -1.0), near + far, wall)]
@@ -106,16 +98,10 @@ def _corner(rng: np.random.Generator, library: AssetLibrary, table: Float64) -> 
         bodies.append(plane(f"wall_{name}", (length, height), material, upright_pose((*foot, height / 2), inward)))
         bodies += skirting(f"skirting_{name}", foot, inward, (length, board_height, thickness), board)
     front = -np.pi / 2 - side * (ASKEW_OF_THREE if three else rng.uniform(*ASKEW))
-    return Surrounding(tuple(bodies), front=float(front), opening=BEFORE_THREE if three else BEFORE_TWO_WALLS)
+    return tuple(bodies), float(front), BEFORE_THREE if three else BEFORE_TWO_WALLS
 
 
-def _skirting_material(rng: np.random.Generator) -> Material:
-    """Draw the paint or stain of skirting boards."""
-    colour = linear_from_hex(str(rng.choice(_SKIRTINGS)))
-    return Material(name="skirting", base_color=colour, roughness=float(rng.uniform(0.25, 0.5)))
-
-
-def _backdrop(rng: np.random.Generator, library: AssetLibrary, table: Float64) -> Surrounding:
+def _backdrop(rng: Rng, library: AssetLibrary, table: Float64) -> Surrounding:
     """Hang a seamless paper behind and below the table, on a studio floor."""
     colour = linear_from_hex(str(rng.choice(_PAPERS)))
     scale = float(rng.uniform(*SWEEP_SCALE))
@@ -128,4 +114,4 @@ def _backdrop(rng: np.random.Generator, library: AssetLibrary, table: Float64) -
     floor = Material(name="concrete", base_color=linear_from_hex("77736c"), roughness=float(rng.uniform(0.4, 0.8)))
     ground = plane("floor", (GROUND, GROUND), floor, np.eye(4))
     sweep = sweep.model_copy(update={"category": "backdrop"})
-    return Surrounding((ground, sweep), front=-np.pi / 2, opening=BEFORE_SWEEP)
+    return (ground, sweep), -np.pi / 2, BEFORE_SWEEP

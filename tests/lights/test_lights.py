@@ -23,11 +23,13 @@ from multilight.lights.photometry.colour import (
 )
 from multilight.lights.photometry.directions import spot_frame
 from multilight.lights.relight import gain_matrix, mix
-from multilight.lights.spec import LightingCondition, PointLight
+from multilight.lights.rigs.lamps import Lamp, one_lumen
+from multilight.lights.spec import AreaLight, LightingCondition, PointLight, SpotLight
 from multilight.scenes.assets.builtin import skies as sky
 from multilight.scenes.assets.formats.ies import profile_flux
 from multilight.scenes.colour import LUMINANCE_WEIGHTS, luminance, srgb_decode, srgb_encode
 from multilight.scenes.frozen import Rgb
+from multilight.scenes.poses import matrix4
 
 LIGHTS = ("key", "fill", "sky")
 gain = st.floats(0.0, 8.0, width=32)
@@ -207,8 +209,8 @@ def test_reference_conversions() -> None:
     # A Lambertian square metre of radiance 1 emits pi watts.
     assert radiometry.area_radiance_from_flux(math.pi, 1.0) == pytest.approx(1.0)
     # A hemisphere is half a sphere.
-    assert radiometry.spot_intensity_from_flux(1.0, math.pi / 2) == pytest.approx(1 / (2 * math.pi))
-    assert radiometry.spot_intensity_from_flux(1.0, math.pi) == pytest.approx(1 / (4 * math.pi))
+    assert radiometry.spot_solid_angle(math.pi / 2) == pytest.approx(2 * math.pi)
+    assert radiometry.spot_solid_angle(math.pi) == pytest.approx(4 * math.pi)
 
 
 @given(positive)
@@ -226,10 +228,10 @@ def test_coloured_quantity_has_the_asked_luminance(value: float, colour: Rgb) ->
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: radiometry.spot_intensity_from_flux(-1.0, 1.0), "flux -1.0"),
-        (lambda: radiometry.spot_intensity_from_flux(math.nan, 1.0), "flux nan"),
+        (lambda: radiometry.area_radiance_from_flux(-1.0, 1.0), "flux -1.0"),
+        (lambda: radiometry.area_radiance_from_flux(math.nan, 1.0), "flux nan"),
         (lambda: radiometry.area_radiance_from_flux(1.0, 0.0), "area 0.0"),
-        (lambda: radiometry.spot_intensity_from_flux(1.0, 4.0), "half angle 4.0"),
+        (lambda: radiometry.spot_solid_angle(4.0), "half angle 4.0"),
         (lambda: radiometry.rgb_from_scalar(1.0, (0.0, 0.0, 0.0)), "one above 0"),
     ],
 )
@@ -316,17 +318,18 @@ def test_importing_lights_leaves_colour_science_alone() -> None:
 # --- what lamps are sold by ---
 
 
-def test_named_quantities_keep_their_photometric_value() -> None:
+def test_lamps_of_one_lumen() -> None:
     warm = temperature_to_rgb(2700)
 
-    def photometric(quantity: Rgb) -> float:
-        return 179.0 * float(luminance(np.array(quantity)))
+    def photometric(light: Lamp) -> float:
+        return 179.0 * one_lumen(light.scaled(7.0)).grey
 
-    assert photometric(radiometry.intensity_from_lumens(800.0, warm)) == pytest.approx(800 / (4 * math.pi))
-    # 1000 lm from 0.25 m²: exitance 4000 lm/m², luminance 4000 / pi.
-    assert photometric(radiometry.area_radiance_from_lumens(1000.0, 0.25, warm)) == pytest.approx(4000 / math.pi)
-    with pytest.raises(ValueError, match="solid angle 0"):
-        radiometry.intensity_from_lumens(800.0, warm, 0.0)
+    assert photometric(PointLight(name="a", position=(0, 0, 1), intensity=warm)) == pytest.approx(1 / (4 * math.pi))
+    # 1 lm from 0.25 m²: exitance 4 lm/m², luminance 4 / pi.
+    flat = AreaLight(name="a", width=0.5, height=0.5, world_from_light=matrix4(np.eye(4)), radiance=warm)
+    assert photometric(flat) == pytest.approx(4 / math.pi)
+    half = SpotLight(name="a", position=(0, 0, 1), direction=(0, 0, -1), intensity=warm, half_angle=1.0, blend=0.0)
+    assert photometric(half) == pytest.approx(1 / (2 * math.pi * (1 - math.cos(1.0))))
 
 
 @settings(deadline=None)

@@ -5,7 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from multilight.scenes.gaussians.curves import box_cells, curve_order, fold, hilbert_cells, hilbert_index, morton_index
+from multilight.scenes.arrays import Int64
+from multilight.scenes.gaussians.curves import box_cells, curve_order, fold, hilbert_index, morton_index
+
+
+def curve(bits: int, dimensions: int) -> Int64:
+    """List all cells in the curve's order."""
+    grid = np.stack(np.meshgrid(*[np.arange(1 << bits)] * dimensions, indexing="ij"), axis=-1).reshape(-1, dimensions)
+    return grid[np.argsort(hilbert_index(grid, bits))]
 
 
 def _wikipedia_d2xy(n: int, d: int) -> tuple[int, int]:
@@ -28,24 +35,20 @@ def _wikipedia_d2xy(n: int, d: int) -> tuple[int, int]:
 
 @pytest.mark.parametrize(("dimensions", "bits"), [(2, 1), (2, 2), (2, 5), (2, 8), (3, 1), (3, 2), (3, 5)])
 def test_visits_each_cell_once_and_steps_to_a_neighbour(dimensions: int, bits: int) -> None:
-    index = np.arange(1 << (bits * dimensions))
-    cells = hilbert_cells(index, bits, dimensions)
-    assert len(np.unique(cells, axis=0)) == len(index)
-    assert cells.min() == 0
-    assert cells.max() == (1 << bits) - 1
+    cells = curve(bits, dimensions)
     assert (np.abs(np.diff(cells, axis=0)).sum(axis=1) == 1).all()
-    np.testing.assert_array_equal(hilbert_index(cells, bits), index)
+    np.testing.assert_array_equal(hilbert_index(cells, bits), np.arange(1 << (bits * dimensions)))
 
 
 @pytest.mark.parametrize("bits", [1, 2, 3, 6])
 def test_two_dimensions_as_in_wikipedia(bits: int) -> None:
     expected = [_wikipedia_d2xy(1 << bits, d) for d in range(1 << (2 * bits))]
-    np.testing.assert_array_equal(hilbert_cells(np.arange(1 << (2 * bits)), bits, 2), expected)
+    np.testing.assert_array_equal(curve(bits, 2), expected)
 
 
 def test_first_orders_as_drawn_by_hilbert() -> None:
-    assert hilbert_cells(np.arange(4), 1, 2).tolist() == [[0, 0], [0, 1], [1, 1], [1, 0]]
-    assert hilbert_cells(np.arange(16), 2, 2).tolist() == [
+    assert curve(1, 2).tolist() == [[0, 0], [0, 1], [1, 1], [1, 0]]
+    assert curve(2, 2).tolist() == [
         *([0, 0], [1, 0], [1, 1], [0, 1]),
         *([0, 2], [0, 3], [1, 3], [1, 2]),
         *([2, 2], [2, 3], [3, 3], [3, 2]),
@@ -53,20 +56,24 @@ def test_first_orders_as_drawn_by_hilbert() -> None:
     ]
     # The reflected Gray code: what Skilling's transform gives for one bit an axis.
     gray = [[0, 0, 0], [0, 0, 1], [0, 1, 1], [0, 1, 0], [1, 1, 0], [1, 1, 1], [1, 0, 1], [1, 0, 0]]
-    assert hilbert_cells(np.arange(8), 1, 3).tolist() == gray
+    assert curve(1, 3).tolist() == gray
 
 
 @settings(max_examples=50, deadline=None)
 @given(st.integers(1, 21), st.lists(st.tuples(*[st.integers(0, 2**21 - 1)] * 3), min_size=1, max_size=20))
-def test_inverse_in_three_dimensions_up_to_63_bits(bits: int, cells: list[tuple[int, int, int]]) -> None:
-    inside = np.array(cells) % (1 << bits)
-    np.testing.assert_array_equal(hilbert_cells(hilbert_index(inside, bits), bits, 3), inside)
+def test_cells_have_indices_of_their_own_up_to_63_bits(bits: int, cells: list[tuple[int, int, int]]) -> None:
+    inside = np.unique(np.array(cells) % (1 << bits), axis=0)
+    index = hilbert_index(inside, bits)
+    assert len(np.unique(index)) == len(inside)
+    assert 0 <= index.min() <= index.max() < 1 << (3 * bits)
+    beside = np.clip(inside + [[0, 0, 1]], 0, (1 << bits) - 1)
+    assert ((hilbert_index(beside, bits) == index) == (beside == inside).all(axis=1)).all()
 
 
 @pytest.mark.parametrize("dimensions", [2, 3])
 def test_coarser_curve_is_the_finer_ones_outline(dimensions: int) -> None:
     """Dropping the lowest bit of every axis drops as many bits of the index: the curve is nested, up to a turn."""
-    cells = hilbert_cells(np.arange(1 << (4 * dimensions)), 4, dimensions)
+    cells = curve(4, dimensions)
     blocks = (cells >> 1).reshape(-1, 1 << dimensions, dimensions)
     assert (blocks == blocks[:, :1]).all()
 
@@ -74,8 +81,8 @@ def test_coarser_curve_is_the_finer_ones_outline(dimensions: int) -> None:
 def test_hilbert_is_closer_than_morton() -> None:
     grid = np.stack(np.meshgrid(*[np.arange(16)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     jumps = {
-        curve: np.abs(np.diff(grid[np.argsort(curve(grid, 4))], axis=0)).sum(axis=1)
-        for curve in (hilbert_index, morton_index)
+        index: np.abs(np.diff(grid[np.argsort(index(grid, 4))], axis=0)).sum(axis=1)
+        for index in (hilbert_index, morton_index)
     }
     assert jumps[hilbert_index].max() == 1
     assert jumps[morton_index].mean() > 1.5
@@ -122,7 +129,6 @@ def test_order_does_not_change_with_place_and_size() -> None:
         (lambda: hilbert_index(np.array([[0.5, 1.0]]), 2), "integers"),
         (lambda: hilbert_index(np.array([[0, 0, 0, 0]]), 2), "2 or 3 dimensions"),
         (lambda: hilbert_index(np.array([[0, 0, 0]]), 22), "1 to 21"),
-        (lambda: hilbert_cells(np.array([16]), 2, 2), "not on a curve"),
         (lambda: curve_order(np.array([[0.0, np.nan, 0.0]])), "finite"),
         (lambda: fold(48), "power of two, not 48"),
     ],

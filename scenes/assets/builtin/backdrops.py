@@ -6,6 +6,7 @@ import numpy as np
 
 from multilight.scenes.assets.builtin.primitives import Surface, from_grid, merge, rounded_box, tube
 from multilight.scenes.spec import Material
+from multilight.scenes.streams import Rng
 
 SWEEP_ID, ROLL_ID = "builtin/sweep-01", "builtin/sweep-roll-01"
 TABLE_SWEEP_IDS = ("builtin/sweep-table-01", "builtin/sweep-table-02")
@@ -26,12 +27,12 @@ ROLL = SweepSize(2.72, 3.2, 2.6, 0.45)
 """The usual wide paper roll, hung from a bar."""
 
 
-def sweep(size: SweepSize = STUDIO, *, steps: int = 48) -> Surface:
+def sweep(size: SweepSize = STUDIO) -> Surface:
     """Make the paper, centred in x and y, its floor at z = 0 and its wall at +Y; uv in metres.
 
     It faces up and towards -Y.
     """
-    angle = np.linspace(0.0, np.pi / 2, steps + 1)
+    angle = np.linspace(0.0, np.pi / 2, 49)
     front, wall = -size.depth / 2, size.depth / 2
     y = np.r_[front, wall - size.radius * (1 - np.sin(angle)), wall]
     z = np.r_[0.0, size.radius * (1 - np.cos(angle)), size.height]
@@ -47,19 +48,19 @@ def sweep(size: SweepSize = STUDIO, *, steps: int = 48) -> Surface:
 _PAPER = Material(name="paper", base_color=(0.8, 0.8, 0.8), roughness=0.85)
 
 
-def seamless_paper(_: np.random.Generator) -> list[tuple[Surface, Material]]:
+def seamless_paper(_: Rng) -> list[tuple[Surface, Material]]:
     """Make the sweep of a studio, 9 m wide, 6 m deep, 4 m high; the same whatever the generator."""
     return [(sweep(), _PAPER)]
 
 
-def paper_roll(_: np.random.Generator) -> list[tuple[Surface, Material]]:
+def paper_roll(_: Rng) -> list[tuple[Surface, Material]]:
     """Make the sweep of a paper roll, 2.72 m wide, and the bar it hangs from; the same whatever the generator."""
     ends = [(-ROLL.width / 2 - 0.1, 0.0, 0.0), (ROLL.width / 2 + 0.1, 0.0, 0.0)]
     bar = tube(np.array(ends), 0.03).moved((0.0, ROLL.depth / 2 + 0.031, ROLL.height))
     return [(sweep(ROLL), _PAPER), (bar, Material(name="bar", base_color=(0.3, 0.3, 0.3), roughness=0.5))]
 
 
-def table_sweep(rng: np.random.Generator) -> list[tuple[Surface, Material]]:
+def table_sweep(rng: Rng) -> list[tuple[Surface, Material]]:
     """Make a product table, 1.3 to 1.8 m wide, its top about 0.75 m high: a sweep on a frame."""
     size, height = table_size(float(rng.uniform(1.3, 1.8))), float(rng.uniform(0.7, 0.8))
     x, y = size.width / 2 - 0.03, size.depth / 2

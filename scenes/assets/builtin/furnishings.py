@@ -8,10 +8,10 @@ from itertools import pairwise
 import numpy as np
 
 from multilight.scenes.assets.builtin.joinery import painted
-from multilight.scenes.assets.builtin.parts import METALS, PAPER, Part, Rng, tiled
+from multilight.scenes.assets.builtin.parts import METALS, PAPER, Part, tiled
 from multilight.scenes.assets.builtin.primitives import Surface, bar, bar_pair, from_grid, merge, prism, rotation, tube
 from multilight.scenes.spec import Material, Rgb
-from multilight.scenes.streams import pick
+from multilight.scenes.streams import Rng, pick
 
 CURTAIN_HEIGHT = 2.38
 _CLOTHS: tuple[Rgb, ...] = (
@@ -46,16 +46,11 @@ def _drape(rng: Rng, width: float, height: float) -> Surface:
 
 def curtains(rng: Rng, *, width: float) -> list[Part]:
     """Make a pair of curtains on a rod for a window of that width, from the floor up; brackets touch the wall."""
-    cloth = Material(
-        name="cloth",
-        base_color=pick(rng, _CLOTHS),
-        base_color_texture=tiled("weave-linen-natural", 0.12),
-        roughness=0.9,
-    )
+    weave = tiled("weave-linen-natural", 0.12)
+    cloth = Material(name="cloth", base_color=pick(rng, _CLOTHS), base_color_texture=weave, roughness=0.9)
     bunch, out = float(rng.uniform(0.24, 0.38)), -0.115
-    drapes = [
-        _drape(rng, bunch, CURTAIN_HEIGHT - 0.03).moved((s * (width / 2 + bunch / 2 - 0.06), out, 0.0)) for s in (-1, 1)
-    ]
+    aside = width / 2 + bunch / 2 - 0.06
+    drapes = [_drape(rng, bunch, CURTAIN_HEIGHT - 0.03).moved((s * aside, out, 0.0)) for s in (-1, 1)]
     end, top = width / 2 + bunch + 0.04, CURTAIN_HEIGHT - 0.02
     rod = [tube([(x, out, top) for x in np.linspace(-end, end, 3)], 0.012, segments=12)]
     rod += bar_pair((end - 0.03 - 0.008, end - 0.03 + 0.008), (out, 0.0), (top - 0.02, top - 0.004))
@@ -85,9 +80,8 @@ def picture(rng: Rng) -> list[Part]:
     section, mat = float(rng.uniform(0.015, 0.035)), float(rng.uniform(0.0, 0.09)) * min(width, height)
     inner = (width / 2 - section - mat, height - 2 * (section + mat))
     paper = Material(name="mat", base_color=(0.82, 0.81, 0.77), roughness=0.8)
-    back = bar(
-        (-width / 2 + section / 2, width / 2 - section / 2), (-0.008, -0.001), (section / 2, height - section / 2)
-    )
+    half = width / 2 - section / 2
+    back = bar((-half, half), (-0.008, -0.001), (section / 2, height - section / 2))
     ground = Material(name="ground", base_color=pick(rng, _INKS), roughness=0.6)
     base = (section + mat, section + mat + inner[1])
     parts = [(_framed(width, height, section, 0.024), _frame_material(rng)), (back, paper)]
@@ -117,9 +111,8 @@ def mirror(rng: Rng) -> list[Part]:
     """Make a framed mirror, upright or lying."""
     width, height = float(rng.uniform(0.45, 0.8)), float(rng.uniform(0.7, 1.3))
     section = float(rng.uniform(0.02, 0.05))
-    plate = bar(
-        (-width / 2 + section / 2, width / 2 - section / 2), (-0.012, -0.001), (section / 2, height - section / 2)
-    )
+    half = width / 2 - section / 2
+    plate = bar((-half, half), (-0.012, -0.001), (section / 2, height - section / 2))
     silver = Material(name="mirror", base_color=(0.95, 0.95, 0.94), metallic=1.0, roughness=0.01)
     return [(_framed(width, height, section, 0.028), _frame_material(rng)), (plate, silver)]
 
@@ -130,10 +123,8 @@ def rug(rng: Rng) -> list[Part]:
     depth, thick = width * float(rng.uniform(0.6, 0.75)), 0.008
     first, second = pick(rng, _CLOTHS), pick(rng, _CLOTHS)
     weave = tiled(pick(rng, ("weave-basket", "weave-linen-natural")), 0.3)
-    cloth = [
-        Material(name=n, base_color=c, base_color_texture=weave, roughness=0.95)
-        for n, c in (("field", first), ("band", second))
-    ]
+    plain = Material(base_color_texture=weave, roughness=0.95)
+    cloth = [plain.model_copy(update={"name": n, "base_color": c}) for n, c in (("field", first), ("band", second))]
     field: list[Surface] = []
     band: list[Surface] = []
     if rng.random() < 0.5:
@@ -157,23 +148,19 @@ def books(rng: Rng) -> list[Part]:
     while x < end:
         wide, deep, high = (float(v) for v in rng.uniform((0.014, 0.13, 0.17), (0.048, 0.18, 0.26)))
         ink = int(rng.integers(len(_BINDINGS)))
-        shell = [bar((x, x + 0.0025), (front, front + deep), (0.0, high), 0.0008)]
-        shell.append(bar((x + wide - 0.0025, x + wide), (front, front + deep), (0.0, high), 0.0008))
+        sides = ((x, x + 0.0025), (x + wide - 0.0025, x + wide))
+        shell = [bar(side, (front, front + deep), (0.0, high), 0.0008) for side in sides]
         shell.append(bar((x + 0.0005, x + wide - 0.0005), (front, front + 0.003), (0.0, high), 0.001))
         covers.setdefault(ink, []).extend(shell)
-        pages.append(
-            bar((x + 0.002, x + wide - 0.002), (front + 0.002, front + deep - 0.004), (0.004, high - 0.004), 0.0005)
-        )
+        inner = (front + 0.002, front + deep - 0.004)
+        pages.append(bar((x + 0.002, x + wide - 0.002), inner, (0.004, high - 0.004), 0.0005))
         x += wide + 0.0008
         front = float(rng.uniform(0.0, 0.012))
-    bindings = [
-        (
-            merge(surfaces),
-            Material(name=f"cover{ink}", base_color=_BINDINGS[ink], roughness=float(rng.uniform(0.35, 0.75))),
-        )
-        for ink, surfaces in sorted(covers.items())
-    ]
-    return [*bindings, (merge(pages), PAPER)]
+    parts: list[Part] = []
+    for ink, surfaces in sorted(covers.items()):
+        cover = Material(name=f"cover{ink}", base_color=_BINDINGS[ink], roughness=float(rng.uniform(0.35, 0.75)))
+        parts.append((merge(surfaces), cover))
+    return [*parts, (merge(pages), PAPER)]
 
 
 def wall_shelf(rng: Rng) -> list[Part]:
@@ -183,8 +170,7 @@ def wall_shelf(rng: Rng) -> list[Part]:
     brackets: list[Surface] = []
     for x in (-0.36 * width, 0.36 * width):
         brackets.append(bar((x - 0.012, x + 0.012), (-0.006, 0.0), (0.0, 0.12)))
-        brackets.append(
-            tube([(x, -0.012, 0.012), (x, -0.4 * depth, 0.06), (x, -0.8 * depth, 0.114)], 0.006, segments=10)
-        )
+        arm = [(x, -0.012, 0.012), (x, -0.4 * depth, 0.06), (x, -0.8 * depth, 0.114)]
+        brackets.append(tube(arm, 0.006, segments=10))
     metal = Material(name="bracket", base_color=pick(rng, METALS), metallic=1.0, roughness=0.4)
     return [(board, painted(rng, "board")), (merge(brackets), metal)]

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from multilight.scenes.assets.builtin.parts import PAINTS, Part, Rng, paint, patterned
+from multilight.scenes.assets.builtin.parts import PAINTS, Part, paint, patterned
 from multilight.scenes.assets.builtin.primitives import (
     Surface,
     lathe,
@@ -17,7 +17,7 @@ from multilight.scenes.assets.builtin.primitives import (
 )
 from multilight.scenes.assets.builtin.tableware import beaker, vessel
 from multilight.scenes.spec import Material, Rgb
-from multilight.scenes.streams import pick
+from multilight.scenes.streams import Rng, pick
 
 _SOIL = Material(name="soil", base_color=(0.06, 0.04, 0.028), roughness=0.95)
 _CLAYS: tuple[Rgb, ...] = ((0.50, 0.20, 0.10), (0.42, 0.24, 0.15), (0.55, 0.50, 0.44), (0.10, 0.10, 0.11))
@@ -56,8 +56,7 @@ def _tuft(rng: Rng, r: float, h: float) -> Surface:
         t = np.linspace(0, 1, 10)
         out = start + length * lean * t**2
         path = np.stack([out * np.cos(angle), out * np.sin(angle), length * t * (1 - 0.3 * lean * t)], -1)
-        blade = tube(path, 0.004 + 0.02 * h, segments=10, flatten=0.25)
-        leaves.append(blade)
+        leaves.append(tube(path, 0.004 + 0.02 * h, segments=10, flatten=0.25))
     return merge(leaves)
 
 
@@ -95,10 +94,8 @@ def bucket(rng: Rng) -> list[Part]:
     arc = np.stack([1.02 * r * np.cos(angle), 1.06 * r * np.sin(angle) * np.cos(droop), 0 * angle], -1)
     arc[:, 2] = h - 0.012 - 1.06 * r * np.sin(angle) * np.sin(droop)
     handle = tube(arc, 0.0025, segments=10)
-    return [
-        (body, zinc(rng)),
-        (handle, Material(name="wire", base_color=(0.55, 0.55, 0.56), metallic=1.0, roughness=0.35)),
-    ]
+    wire = Material(name="wire", base_color=(0.55, 0.55, 0.56), metallic=1.0, roughness=0.35)
+    return [(body, zinc(rng)), (handle, wire)]
 
 
 def watering_can(rng: Rng) -> list[Part]:
@@ -123,9 +120,8 @@ def pebble(rng: Rng) -> list[Part]:
     round_ = size * np.stack([np.cos(angle) ** 0.85, np.sin(angle) + 1], -1)
     ball = lathe(round_, lobes=int(rng.integers(2, 4)), depth=float(rng.uniform(0.03, 0.08)))
     normals = ball.normals / axes
-    stone = replace(
-        ball, vertices=ball.vertices * axes, normals=normals / np.linalg.norm(normals, axis=1, keepdims=True)
-    )
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    stone = replace(ball, vertices=ball.vertices * axes, normals=normals)
     return [(stone, Material(name="stone", base_color=pick(rng, _STONES), roughness=float(rng.uniform(0.45, 0.85))))]
 
 
@@ -163,10 +159,8 @@ def garden_chair(rng: Rng) -> list[Part]:
     """Make a slatted garden chair, 0.78 to 0.9 m high."""
     w, d, seat, h = 0.44, 0.42, 0.44, float(rng.uniform(0.78, 0.9))
     slats = [_board(w - 0.01, d / 6 - 0.01, 0.018).moved((0, (i - 2.5) * d / 6, seat - 0.018)) for i in range(6)]
-    back = [
-        _board(w - 0.06, 0.016, 0.05).moved((0, d / 2 + 0.02 * i, seat + 0.1 + i * (h - seat - 0.16) / 3))
-        for i in range(4)
-    ]
+    rest = _board(w - 0.06, 0.016, 0.05)
+    back = [rest.moved((0, d / 2 + 0.02 * i, seat + 0.1 + i * (h - seat - 0.16) / 3)) for i in range(4)]
     legs = [_board(0.03, 0.03, seat - 0.018).moved((sx * (w / 2 - 0.02), -d / 2 + 0.03, 0)) for sx in (-1, 1)]
     lean = rotation("x", -0.12)
     for sx in (-1, 1):

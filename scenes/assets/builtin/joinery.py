@@ -6,10 +6,10 @@ They face -Y and reach into the wall: their plane of y = 0 is the wall's inner f
 
 import numpy as np
 
-from multilight.scenes.assets.builtin.parts import METALS, Part, Rng, tiled
+from multilight.scenes.assets.builtin.parts import METALS, Part, tiled
 from multilight.scenes.assets.builtin.primitives import Surface, bar, bar_pair, cylinder, merge, rotation, tube
 from multilight.scenes.spec import Material, Rgb
-from multilight.scenes.streams import pick
+from multilight.scenes.streams import Rng, pick
 
 CASING = 0.07
 """Width [m] of the boards round an opening; a window's sill reaches `EAR` to each side instead."""
@@ -59,8 +59,9 @@ def _lining(width: float, height: float, depth: float) -> list[Surface]:
     return [*sides, bar((-half - LINING, half + LINING), (0.0, depth), (height, height + LINING))]
 
 
-def window(rng: Rng, *, width: float, height: float, across: int, up: int) -> list[Part]:
-    """Make a window without glass: casing, sill, lining, and a frame with bars between its panes."""
+def window(rng: Rng, *, size: tuple[float, float, int, int]) -> list[Part]:
+    """Make a window as in `WINDOWS`, without glass: casing, sill, lining, a frame with bars between its panes."""
+    width, height, across, up = size
     half, deep = width / 2, (0.12, 0.165)
     wood = painted(rng, "joinery")
     parts = [*_casing(width, height), *_lining(width, height, WINDOW_DEPTH)]
@@ -83,9 +84,7 @@ def door(rng: Rng) -> list[Part]:
     width, height = float(rng.uniform(0.80, 0.92)), float(rng.uniform(2.0, 2.1))
     half = width / 2
     frame, leaf = painted(rng, "joinery"), [bar((-half - 0.004, half + 0.004), (0.03, 0.07), (0.0, height + 0.004))]
-    rows = [((0.14, 0.85), (0.98, height - 0.14)), ((0.14, 0.6), (0.7, 1.3), (1.4, height - 0.14)), ()][
-        int(rng.integers(3))
-    ]
+    rows = pick(rng, (((0.14, 0.85), (0.98, height - 0.14)), ((0.14, 0.6), (0.7, 1.3), (1.4, height - 0.14)), ()))
     columns = 2 if rng.random() < 0.5 else 1
     for z in rows:
         for i in range(columns):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from multilight.scenes.assets.builtin.parts import CLEAR_TINTS, METALS, Part, Rng, ceramic, metal, patterned
+from multilight.scenes.assets.builtin.parts import CLEAR_TINTS, METALS, Part, ceramic, metal, patterned
 from multilight.scenes.assets.builtin.primitives import (
     circle,
     cylinder,
@@ -17,7 +17,7 @@ from multilight.scenes.assets.builtin.primitives import (
 )
 from multilight.scenes.assets.builtin.tableware import beaker
 from multilight.scenes.spec import Material, Rgb
-from multilight.scenes.streams import pick
+from multilight.scenes.streams import Rng, pick
 
 GLOW = Material(name="glow", base_color=(0.92, 0.90, 0.86), roughness=0.4)
 _PLASTICS: tuple[Rgb, ...] = ((0.8, 0.79, 0.76), (0.03, 0.03, 0.035), (0.35, 0.36, 0.38), (0.55, 0.16, 0.12))
@@ -89,15 +89,10 @@ def lamp(rng: Rng) -> list[Part]:
     foot = lathe(rounded(stem, [0, 0.004, 0.01, 0.03, 0.05, 0.02, 0.01, 0.002, 0]))
     wall = np.linspace((low, 0.55 * h), (high, h), 12)
     shade = lathe(np.concatenate([wall, (wall - [0.002, 0.0])[::-1], wall[:1]]), segments=96)
-    spokes = [tube([(0, 0, 0.79 * h), (x, y, 0.79 * h)], 0.0015, segments=8) for x, y in _spokes(rng, low, high)]
+    # Three spokes meet the shade a little over half its height.
+    ends = circle(3, low + (high - low) * 0.53 - 0.002, start=float(rng.uniform(0, 2 * np.pi)))
+    spokes = [tube([(0, 0, 0.79 * h), (x, y, 0.79 * h)], 0.0015, segments=8) for x, y in ends]
     return [(shade, GLOW), (foot, pick(rng, (ceramic, metal))(rng)), (merge(spokes), metal(rng))]
-
-
-def _spokes(rng: Rng, low: float, high: float) -> list[tuple[float, float]]:
-    """Return where three spokes meet a shade, a little over half its height."""
-    reach = low + (high - low) * 0.53 - 0.002
-    start = rng.uniform(0, 2 * np.pi)
-    return [(reach * np.cos(start + a), reach * np.sin(start + a)) for a in (0.0, 2 * np.pi / 3, 4 * np.pi / 3)]
 
 
 def desk_lamp(rng: Rng) -> list[Part]:

@@ -2,15 +2,18 @@
 
 import numpy as np
 
-from multilight.scenes.assets.builtin.parts import METALS, Part, Rng, tiled
+from multilight.scenes.assets.builtin.parts import METALS, Part, tiled
 from multilight.scenes.assets.builtin.primitives import Surface, cylinder, lathe, merge, rounded, sphere, tube
 from multilight.scenes.spec import Material, Rgb
-from multilight.scenes.streams import pick
+from multilight.scenes.streams import Rng, pick
 
 GLASS = Material(name="glow", base_color=(0.9, 0.89, 0.86), roughness=0.35)
 _SHADES: tuple[Rgb, ...] = (
     (0.80, 0.76, 0.66), (0.06, 0.06, 0.065), (0.55, 0.16, 0.08), (0.10, 0.18, 0.26), (0.20, 0.28, 0.20),
     (0.70, 0.50, 0.16),
+)  # fmt: skip
+_GLAZES: tuple[Rgb, ...] = (
+    (0.78, 0.76, 0.70), (0.08, 0.16, 0.24), (0.10, 0.20, 0.14), (0.04, 0.04, 0.045), (0.45, 0.22, 0.12),
 )  # fmt: skip
 _INSIDE = Material(name="lining", base_color=(0.85, 0.83, 0.78), roughness=0.6)
 
@@ -28,12 +31,12 @@ def _bulb(radius: float = 0.032) -> Surface:
     return lathe(rounded([*neck, (0, 0.02 + 2.6 * radius)], [0, 0.002, 0.01, 0.02, 0.03, 0]), segments=24)
 
 
-def _drum(low: float, high: float, height: float) -> tuple[Surface, Surface]:
-    """Make a shade open above and below: its outside and its lining."""
+def _drum(low: float, high: float, height: float, lift: float) -> tuple[Surface, Surface]:
+    """Make a shade open above and below, from `lift` up: its outside and its lining."""
     t = 0.002
     outside = lathe([(low - t / 2, 0), (low, 0), (high, height), (high - t / 2, height)], segments=48)
     inside = lathe([(high - t / 2, height), (high - t, height), (low - t, 0), (low - t / 2, 0)], segments=48)
-    return outside, inside
+    return outside.moved((0, 0, lift)), inside.moved((0, 0, lift))
 
 
 def _cloth(rng: Rng) -> Material:
@@ -57,9 +60,8 @@ def _dome(radius: float, height: float) -> tuple[Surface, Surface]:
     outer = np.stack([r, z], -1)
     inner = outer * [(radius - 0.004) / radius, (height - 0.004) / height]
     outside = np.concatenate([[(radius - 0.002, 0)], outer, [(0.0, height)]])
-    return lathe(outside, segments=48), lathe(
-        np.concatenate([[(0.0, height - 0.004)], inner[::-1], [(radius - 0.002, 0)]])
-    )
+    inside = np.concatenate([[(0.0, height - 0.004)], inner[::-1], [(radius - 0.002, 0)]])
+    return lathe(outside, segments=48), lathe(inside)
 
 
 def pendant(rng: Rng) -> list[Part]:
@@ -91,30 +93,24 @@ def ceiling_lamp(rng: Rng) -> list[Part]:
     angle = np.linspace(-np.pi / 2, 0.0, 12)
     bowl = np.stack([0.97 * radius * np.cos(angle), (height - 0.02) * (1 + np.sin(angle))], -1)
     glass = lathe(np.concatenate([bowl, [(0.0, height - 0.02)]]), segments=48)
-    rim = lathe(
-        rounded([(0, height - 0.02), (radius, height - 0.02), (radius, height), (0, height)], 0.003), segments=48
-    )
-    return [(glass, GLASS), (rim, _metal(rng))]
+    rim = rounded([(0, height - 0.02), (radius, height - 0.02), (radius, height), (0, height)], 0.003)
+    return [(glass, GLASS), (lathe(rim, segments=48), _metal(rng))]
 
 
 def floor_lamp(rng: Rng) -> list[Part]:
     """Make a standing lamp, 1.35 to 1.7 m high: a drum shade round a bulb, or an opal globe on a pole."""
     height, metal = float(rng.uniform(1.35, 1.7)), _metal(rng)
-    base = lathe(
-        rounded([(0, 0), (0.14, 0), (0.14, 0.02), (0.02, 0.03), (0, 0.03)], [0, 0.003, 0.008, 0.01, 0]), segments=48
-    )
+    plate = rounded([(0, 0), (0.14, 0), (0.14, 0.02), (0.02, 0.03), (0, 0.03)], [0, 0.003, 0.008, 0.01, 0])
+    base = lathe(plate, segments=48)
     if rng.random() < 0.65:
         tall = float(rng.uniform(0.22, 0.32))
-        outside, inside = _drum(float(rng.uniform(0.18, 0.24)), float(rng.uniform(0.13, 0.18)), tall)
         lift = height - tall
+        shade = _drum(float(rng.uniform(0.18, 0.24)), float(rng.uniform(0.13, 0.18)), tall, lift)
         stem = tube([(0, 0, 0.02), (0, 0, height / 2), (0, 0, lift + 0.06)], 0.009, segments=12)
         bulb = _bulb().moved((0, 0, lift + 0.065))
-        spokes = ((1, 0), (-0.5, 0.866), (-0.5, -0.866))
         z = lift + 0.05
-        ring = [
-            tube([(0, 0, z), (0.07 * c, 0.07 * s, z), (0.16 * c, 0.16 * s, z)], 0.002, segments=6) for c, s in spokes
-        ]
-        shade = (outside.moved((0, 0, lift)), inside.moved((0, 0, lift)))
+        spokes = [[(r * c, r * s, z) for r in (0, 0.07, 0.16)] for c, s in ((1, 0), (-0.5, 0.866), (-0.5, -0.866))]
+        ring = [tube(spoke, 0.002, segments=6) for spoke in spokes]
         return [(merge([base, stem, *ring]), metal), *_shaded(rng, shade, bulb)]
     radius = float(rng.uniform(0.1, 0.16))
     stem = tube([(0, 0, 0.02), (0, 0, height / 2), (0, 0, height - 2 * radius)], 0.011, segments=12)
@@ -125,25 +121,13 @@ def table_lamp(rng: Rng) -> list[Part]:
     """Make a lamp of 0.38 to 0.55 m for tables: a turned foot and a drum shade round a bulb."""
     foot, tall = float(rng.uniform(0.2, 0.3)), float(rng.uniform(0.16, 0.22))
     belly, waist = (float(v) for v in rng.uniform((0.05, 0.014), (0.085, 0.02)))
-    profile = [
-        (0, 0),
-        (belly * 0.8, 0),
-        (belly, foot * 0.35),
-        (waist, foot * 0.9),
-        (waist, foot + 0.03),
-        (0, foot + 0.03),
-    ]
+    top = foot + 0.03
+    profile = [(0, 0), (belly * 0.8, 0), (belly, foot * 0.35), (waist, foot * 0.9), (waist, top), (0, top)]
     body = lathe(rounded(profile, [0, 0.006, 0.08, 0.08, 0.003, 0]), segments=48)
-    colour = pick(
-        rng, ((0.78, 0.76, 0.70), (0.08, 0.16, 0.24), (0.10, 0.20, 0.14), (0.04, 0.04, 0.045), (0.45, 0.22, 0.12))
-    )
-    glaze = Material(name="foot", base_color=colour, roughness=0.25, coat=0.6)
-    outside, inside = _drum(float(rng.uniform(0.12, 0.16)), float(rng.uniform(0.08, 0.11)), tall)
+    glaze = Material(name="foot", base_color=pick(rng, _GLAZES), roughness=0.25, coat=0.6)
     lift = foot - 0.02
-    wire = [
-        tube([(0, 0, lift + 0.045), (0.04 * s, 0, lift + 0.045), (0.105 * s, 0, lift + 0.045)], 0.002, segments=6)
-        for s in (-1, 1)
-    ]
-    shade = (outside.moved((0, 0, lift)), inside.moved((0, 0, lift)))
-    bulb = _bulb(0.026).moved((0, 0, foot + 0.03))
+    shade = _drum(float(rng.uniform(0.12, 0.16)), float(rng.uniform(0.08, 0.11)), tall, lift)
+    spokes = [[(s * r, 0, lift + 0.045) for r in (0, 0.04, 0.105)] for s in (-1, 1)]
+    wire = [tube(spoke, 0.002, segments=6) for spoke in spokes]
+    bulb = _bulb(0.026).moved((0, 0, top))
     return [(body, glaze), (merge(wire), _metal(rng)), *_shaded(rng, shade, bulb)]

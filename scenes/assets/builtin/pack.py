@@ -25,14 +25,14 @@ from multilight.scenes.assets.builtin import (
     tableware,
     toys,
 )
-from multilight.scenes.assets.builtin.parts import Part, Rng, to_mesh
+from multilight.scenes.assets.builtin.parts import Part, to_mesh
 from multilight.scenes.assets.builtin.textures import gobos, screens, surfaces
 from multilight.scenes.assets.cache import is_sound, kept, sources_key, write_json, write_once
 from multilight.scenes.assets.environments import bpy_environment_path, bpy_environments
 from multilight.scenes.assets.info import AssetError, AssetInfo, AssetRole
 from multilight.scenes.assets.packs.pack import Pack
 from multilight.scenes.meshes import Mesh
-from multilight.scenes.streams import generator_of
+from multilight.scenes.streams import Rng, generator_of
 
 Recipe = Callable[[Rng], list[Part]]
 
@@ -106,14 +106,8 @@ SURROUNDINGS = {
     "sweep-roll": Model(backdrops.paper_roll, 1),
     "sweep-table": Model(backdrops.table_sweep, 2),
     "tray": Model(plates.tray, 3),
-    **{
-        f"window-{key}": Model(partial(joinery.window, width=w, height=h, across=a, up=u), 2)
-        for key, (w, h, a, u) in joinery.WINDOWS.items()
-    },
-    **{
-        f"curtains-{key}": Model(partial(furnishings.curtains, width=size[0]), 2)
-        for key, size in joinery.WINDOWS.items()
-    },
+    **{f"window-{key}": Model(partial(joinery.window, size=size), 2) for key, size in joinery.WINDOWS.items()},
+    **{f"curtains-{key}": Model(partial(furnishings.curtains, width=w), 2) for key, (w, *_) in joinery.WINDOWS.items()},
     "door": Model(joinery.door, 5),
     "picture": Model(furnishings.picture, 14),
     "mirror": Model(furnishings.mirror, 3),
@@ -222,16 +216,9 @@ class BuiltinPack(Pack):
 
 
 def _texture_infos() -> list[AssetInfo]:
-    measured = [
-        _info(
-            name,
-            "texture",
-            recipe.category,
-            size=(recipe.metres, recipe.metres, 0.0),
-            normal_map=f"builtin/{name}-normal",
-            roughness_map=f"builtin/{name}-roughness",
-        )
-        for name, recipe in surfaces.TEXTURES.items()
-    ]
+    measured = []
+    for name, recipe in surfaces.TEXTURES.items():
+        maps = {f"{kind}_map": f"builtin/{name}-{kind}" for kind in ("normal", "roughness")}
+        measured.append(_info(name, "texture", recipe.category, size=(recipe.metres, recipe.metres, 0.0), **maps))
     flat = {name: screen.category for name, screen in screens.SCREENS.items()} | dict.fromkeys(gobos.GOBOS, "gobo")
     return measured + [_info(name, "texture", category) for name, category in flat.items()]

@@ -6,9 +6,8 @@ from multilight.scenes.assets.builtin.primitives import Surface
 from multilight.scenes.assets.derived_maps import MEAN_ROUGHNESS
 from multilight.scenes.meshes import Mesh, MeshPart
 from multilight.scenes.spec import Material, Rgb, Texture
-from multilight.scenes.streams import pick
+from multilight.scenes.streams import Rng, pick
 
-Rng = np.random.Generator
 Part = tuple[Surface, Material]
 
 GLAZES: tuple[Rgb, ...] = (
@@ -75,16 +74,8 @@ def to_mesh(parts: list[Part]) -> Mesh:
     points = np.concatenate([surface.vertices for surface, _ in parts])
     low, high = points.min(axis=0), points.max(axis=0)
     offset = np.array([-(low[0] + high[0]) / 2, -(low[1] + high[1]) / 2, -low[2]])
-    return Mesh(
-        tuple(
-            MeshPart(
-                material.name,
-                (s.vertices + offset).astype(np.float32),
-                s.faces.astype(np.int32),
-                s.normals.astype(np.float32),
-                s.uv.astype(np.float32),
-                material,
-            )
-            for s, material in parts
-        )
-    )
+    made = []
+    for surface, material in parts:
+        vertices, normals, uv = (a.astype(np.float32) for a in (surface.vertices + offset, surface.normals, surface.uv))
+        made.append(MeshPart(material.name, vertices, surface.faces.astype(np.int32), normals, uv, material))
+    return Mesh(tuple(made))

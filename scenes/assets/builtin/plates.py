@@ -1,6 +1,6 @@
 """Built-in things that other things stand on or before: plates, trays, plinths and mirrors. uv is in metres."""
 
-from multilight.scenes.assets.builtin.parts import Part, Rng, metal, paint, patterned
+from multilight.scenes.assets.builtin.parts import Part, metal, paint, patterned
 from multilight.scenes.assets.builtin.primitives import (
     circle,
     cylinder,
@@ -12,7 +12,7 @@ from multilight.scenes.assets.builtin.primitives import (
     rounded_box,
 )
 from multilight.scenes.spec import Material
-from multilight.scenes.streams import pick
+from multilight.scenes.streams import Rng, pick
 
 _PLAIN = Material(name="plate", base_color=(0.7, 0.7, 0.7), roughness=0.3)
 MIRROR = Material(name="mirror", base_color=(0.92, 0.93, 0.93), metallic=1.0, roughness=0.0)

@@ -16,6 +16,9 @@ from multilight.scenes.meshes import stacked, triangle_crosses
 SEAM = 0.1
 """The circumference of a lathe is rounded to a multiple of this [m]: textures of that size (or a part) meet."""
 
+CREASE = 0.7
+"""Angle [rad] beyond which a corner of a profile is an edge."""
+
 
 @dataclass(frozen=True)
 class Surface:
@@ -106,8 +109,8 @@ def rounded(corners: ArrayLike, radius: ArrayLike, *, closed: bool = False, step
     return np.concatenate(result)
 
 
-def _profile(points: Float64, *, crease: float = 0.7) -> tuple[Float64, Float64, Float64]:
-    """Give each point of a 2-D profile its right-hand normal; corners sharper than `crease` [rad] are split.
+def _profile(points: Float64) -> tuple[Float64, Float64, Float64]:
+    """Give each point of a 2-D profile its right-hand normal; corners sharper than `CREASE` are split.
 
     Normals are averaged by edge length, so that long flats keep theirs. Returns points, normals, arc length.
     """
@@ -118,7 +121,7 @@ def _profile(points: Float64, *, crease: float = 0.7) -> tuple[Float64, Float64,
     position = np.r_[0, np.cumsum(lengths)]
     where, normals = [0], [sides[0]]
     for i in range(1, len(points) - 1):
-        if sides[i - 1] @ sides[i] < np.cos(crease):
+        if sides[i - 1] @ sides[i] < np.cos(CREASE):
             where += [i, i]
             normals += [sides[i - 1], sides[i]]
         else:
@@ -203,9 +206,8 @@ def tube(path: ArrayLike, radius: float, *, segments: int = 20, flatten: float =
     tangents, first, second = _frames(centres)
     cap = np.linspace(0, np.pi / 2, 7)[:-1]
     head, tail = radius * np.cos(cap), radius * np.cos(cap[::-1])
-    centres = np.concatenate(
-        [centres[0] - head[:, None] * tangents[0], centres, centres[-1] + tail[:, None] * tangents[-1]]
-    )
+    ends = centres[0] - head[:, None] * tangents[0], centres[-1] + tail[:, None] * tangents[-1]
+    centres = np.concatenate([ends[0], centres, ends[1]])
     radii = np.concatenate([radius * np.sin(cap), np.full(len(tangents), radius), radius * np.sin(cap[::-1])])
     first, second, tangents = (np.pad(a, ((6, 6), (0, 0)), mode="edge") for a in (first, second, tangents))
     along = np.r_[0, np.cumsum(np.linalg.norm(np.diff(centres, axis=0), axis=1))]
@@ -245,11 +247,10 @@ def rounded_box(size: ArrayLike, radius: float, *, steps: int = 4) -> Surface:
 
 def bar(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float], radius: float = 0.002) -> Surface:
     """Make a box between two corners [m] with slightly rounded edges."""
-    low, high = np.array([x[0], y[0], z[0]]), np.array([x[1], y[1], z[1]])
+    low, high = np.transpose([x, y, z])
     size = high - low
-    return rounded_box(size, min(radius, 0.4 * float(size.min())), steps=1).moved(
-        (low[0] + size[0] / 2, low[1] + size[1] / 2, low[2])
-    )
+    made = rounded_box(size, min(radius, 0.4 * float(size.min())), steps=1)
+    return made.moved((low[0] + size[0] / 2, low[1] + size[1] / 2, low[2]))
 
 
 def bar_pair(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float]) -> list[Surface]:

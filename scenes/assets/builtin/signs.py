@@ -6,10 +6,10 @@ import numpy as np
 
 from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.builtin.lamps import GLOW
-from multilight.scenes.assets.builtin.parts import Part, Rng, metal
+from multilight.scenes.assets.builtin.parts import Part, metal
 from multilight.scenes.assets.builtin.primitives import Surface, from_grid, merge, rotation, rounded, rounded_box, tube
 from multilight.scenes.spec import Material, Rgb
-from multilight.scenes.streams import pick
+from multilight.scenes.streams import Rng, pick
 
 _CASES: tuple[Rgb, ...] = ((0.02, 0.02, 0.022), (0.55, 0.56, 0.58), (0.75, 0.74, 0.72), (0.16, 0.2, 0.28))
 _DISPLAY = Material(name="screen", base_color=(0.03, 0.03, 0.032), roughness=0.08, coat=0.0)
@@ -121,15 +121,10 @@ def phone(rng: Rng) -> list[Part]:
         return [(screen.moved(rotation=flat), _DISPLAY), (body.moved(rotation=flat), case)]
     lean = rotation("x", -float(rng.uniform(0.25, 0.5)))
     lift = (0.0, 0.0, height / 2 + 0.012)
-    cradle = merge(
-        [
-            rounded_box((0.07, 0.085, 0.008), 0.003).moved((0, 0.012, 0)),
-            rounded_box((0.06, 0.006, 0.6 * height), 0.002)
-            .moved((0, depth / 2 + 0.0045, -0.42 * height))
-            .moved(lift, lean),
-            rounded_box((0.05, 0.018, 0.004), 0.0015).moved((0, -0.002, -height / 2 - 0.0045)).moved(lift, lean),
-        ]
-    )
+    plate = rounded_box((0.07, 0.085, 0.008), 0.003).moved((0, 0.012, 0))
+    prop = rounded_box((0.06, 0.006, 0.6 * height), 0.002).moved((0, depth / 2 + 0.0045, -0.42 * height))
+    lip = rounded_box((0.05, 0.018, 0.004), 0.0015).moved((0, -0.002, -height / 2 - 0.0045))
+    cradle = merge([plate, prop.moved(lift, lean), lip.moved(lift, lean)])
     return [(screen.moved(lift, lean), _DISPLAY), (body.moved(lift, lean), case), (cradle, metal(rng))]
 
 
@@ -139,14 +134,9 @@ def tablet(rng: Rng) -> list[Part]:
     height, depth = width * 5 / 8, 0.0075
     body, screen, case = _slab(rng, width, height, depth, 0.007)
     lean, lift = rotation("x", -float(rng.uniform(0.2, 0.45))), (0.0, 0.0, height / 2 + 0.006)
-    foot = merge(
-        [
-            rounded_box((0.5 * width, 0.11, 0.005), 0.002).moved((0, 0.035, 0)),
-            rounded_box((0.45 * width, 0.004, 0.75 * height), 0.0015)
-            .moved((0, depth / 2 + 0.003, -0.5 * height))
-            .moved(lift, lean),
-        ]
-    )
+    plate = rounded_box((0.5 * width, 0.11, 0.005), 0.002).moved((0, 0.035, 0))
+    prop = rounded_box((0.45 * width, 0.004, 0.75 * height), 0.0015).moved((0, depth / 2 + 0.003, -0.5 * height))
+    foot = merge([plate, prop.moved(lift, lean)])
     return [(screen.moved(lift, lean), _DISPLAY), (body.moved(lift, lean), case), (foot, case)]
 
 
@@ -156,12 +146,9 @@ def monitor(rng: Rng) -> list[Part]:
     height, depth = width * 5 / 8, 0.022
     body, screen, case = _slab(rng, width, height, depth, 0.009)
     lift = (0.0, 0.0, height / 2 + 0.075)
-    foot = merge(
-        [
-            rounded_box((0.2, 0.15, 0.008), 0.003).moved((0, 0.03, 0)),
-            rounded_box((0.05, 0.02, 0.075 + 0.4 * height), 0.004).moved((0, depth / 2 + 0.011, 0.004)),
-        ]
-    )
+    plate = rounded_box((0.2, 0.15, 0.008), 0.003).moved((0, 0.03, 0))
+    post = rounded_box((0.05, 0.02, 0.075 + 0.4 * height), 0.004).moved((0, depth / 2 + 0.011, 0.004))
+    foot = merge([plate, post])
     return [(screen.moved(lift), _DISPLAY), (body.moved(lift), case), (foot, case)]
 
 

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from multilight.scenes.arrays import Float32, Float64
 from multilight.scenes.assets.cache import write_once
 from multilight.scenes.colour import LUMINANCE_WEIGHTS, RGB_FROM_XYZ
+from multilight.scenes.frozen import Rgb, triple
 
 ELEVATIONS = (3, 8, 15, 25, 40, 60)
 """Heights of the sun above the horizon [degrees] for which there is a map."""
@@ -55,11 +56,7 @@ _ZENITH = np.array(
     ]
 )
 # Ozone absorption [1/cm] every 20 nm from 440 to 700 nm (B. Leckner, 1978).
-_OZONE = (
-    440.0,
-    20.0,
-    (0.001, 0.006, 0.014, 0.030, 0.048, 0.075, 0.103, 0.120, 0.125, 0.105, 0.079, 0.057, 0.036, 0.023),
-)
+_OZONE = (0.001, 0.006, 0.014, 0.030, 0.048, 0.075, 0.103, 0.120, 0.125, 0.105, 0.079, 0.057, 0.036, 0.023)
 SOLAR_KLX = 133.3
 """Illuminance of the sun outside the atmosphere [klx] (S. Darula, R. Kittler, C. Gueymard, 2005)."""
 
@@ -113,23 +110,21 @@ def overcast_sky(directions: Float64, *, elevation: float) -> Float64:
     return np.asarray(luminance[..., None] * np.ones(3))
 
 
-def sun_illuminance(*, elevation: float, turbidity: float) -> tuple[float, float, float]:
+def sun_illuminance(*, elevation: float, turbidity: float) -> Rgb:
     """Return the sun's illuminance on a surface that faces it, as linear Rec.709 [klx]; `elevation` [rad]."""
     nm = np.arange(380.0, 781.0, 5.0)
     micron = nm / 1000.0
     height = np.degrees(elevation)
     # F. Kasten, A. T. Young, Revised optical air mass tables, Applied Optics 28, 1989.
     mass = 1.0 / (np.sin(elevation) + 0.50572 * (height + 6.07995) ** -1.6364)
-    start, step, table = _OZONE
-    ozone = np.interp(nm, start + step * np.arange(len(table)), table, left=0.0, right=0.0)
+    ozone = np.interp(nm, np.arange(440.0, 701.0, 20.0), _OZONE, left=0.0, right=0.0)
     beta = 0.04608 * turbidity - 0.04586
     depth = 0.008735 * micron**-4.08 + beta * micron**-1.3 + 0.35 * ozone
     planck = micron**-5 / np.expm1(14387.77 / (micron * 1000.0) / 5778.0 * 1000.0)
     matching = colour_matching(nm)
     outside = planck @ matching
     xyz = (planck * np.exp(-mass * depth)) @ matching * SOLAR_KLX / outside[1]
-    red, green, blue = (float(channel) for channel in _rgb(xyz))
-    return red, green, blue
+    return triple(_rgb(xyz))
 
 
 def colour_matching(nm: ArrayLike) -> Float64:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from multilight.scenes.assets.builtin.parts import Part, Rng, metal, paint, patterned
+from multilight.scenes.assets.builtin.parts import Part, metal, paint, patterned
 from multilight.scenes.assets.builtin.primitives import (
     Surface,
     cylinder,
@@ -14,7 +14,7 @@ from multilight.scenes.assets.builtin.primitives import (
     tube,
 )
 from multilight.scenes.spec import Material
-from multilight.scenes.streams import pick
+from multilight.scenes.streams import Rng, pick
 
 TOPS = (
     ("wood-oak", 0.8, 0.45, 0.25),
@@ -96,8 +96,7 @@ def table_trestle(rng: Rng) -> list[Part]:
     frame = []
     for sx in (-1, 1):
         centre = sx * (x / 2 - 0.25)
-        rail = rounded_box((0.06, y - 0.06, 0.05), 0.004).moved((centre, 0, h - t - 0.05))
-        frame.append(rail)
+        frame.append(rounded_box((0.06, y - 0.06, 0.05), 0.004).moved((centre, 0, h - t - 0.05)))
         for sy in (-1, 1):
             for lean in (-1, 1):
                 foot = (centre + lean * 0.17, sy * (y / 2 - 0.06), 0.004)
@@ -118,8 +117,7 @@ def table_bistro(rng: Rng) -> list[Part]:
     r, h, t = float(rng.uniform(0.40, 0.5)), float(rng.uniform(0.70, 0.75)), 0.02
     top = cylinder(r, t, 0.006, segments=128, planar_uv=True).moved((0, 0, h - t))
     bend = rounded([(0.8 * r, 0.012), (0.1 * r, 0.5 * h), (0.7 * r, h - t - 0.008)], 0.35, steps=24)
-    path = np.stack([bend[:, 0], 0 * bend[:, 0], bend[:, 1]], -1)
-    leg = tube(path, 0.011)
+    leg = tube(np.insert(bend, 1, 0.0, axis=1), 0.011)
     legs = [leg.moved(rotation=rotation("z", angle)) for angle in (0, 2 * np.pi / 3, 4 * np.pi / 3)]
     steel = metal(rng).model_copy(update={"name": "legs"})
     return [(top, top_material(rng)), (merge(legs), steel)]

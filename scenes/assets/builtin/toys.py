@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from multilight.scenes.assets.builtin.parts import PAINTS, PAPER, Part, Rng, ceramic, metal, paint, patterned, tiled
+from multilight.scenes.assets.builtin.parts import PAINTS, PAPER, Part, ceramic, metal, paint, patterned, tiled
 from multilight.scenes.assets.builtin.primitives import (
     circle,
     lathe,
@@ -14,7 +14,7 @@ from multilight.scenes.assets.builtin.primitives import (
     torus,
 )
 from multilight.scenes.spec import Material
-from multilight.scenes.streams import pick
+from multilight.scenes.streams import Rng, pick
 
 
 def book(rng: Rng) -> list[Part]:
@@ -30,9 +30,8 @@ def book(rng: Rng) -> list[Part]:
     base = pick(rng, PAINTS)
     texture = tiled("weave-linen-natural", 0.12) if rng.random() < 0.5 else None
     tint = (0.25 + 0.75 * base[0], 0.25 + 0.75 * base[1], 0.25 + 0.75 * base[2]) if texture else base
-    binding = Material(
-        name="cover", base_color=tint, base_color_texture=texture, roughness=float(rng.uniform(0.35, 0.8))
-    )
+    rough = float(rng.uniform(0.35, 0.8))
+    binding = Material(name="cover", base_color=tint, base_color_texture=texture, roughness=rough)
     return [(merge(cover), binding), (block, PAPER)]
 
 

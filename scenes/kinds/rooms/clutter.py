@@ -16,7 +16,7 @@ from multilight.scenes.materials import body_materials
 from multilight.scenes.poses import about_z, apply_pose, pose_at
 from multilight.scenes.still_life.placement import PlacementError
 from multilight.scenes.still_life.selection import draw_by_category
-from multilight.scenes.streams import pick
+from multilight.scenes.streams import Rng, pick
 
 # Measures of what lies about [m, m²], and how often [probability].
 EDGE = 0.008  # smallest distance of a footprint to the edge of its surface
@@ -32,13 +32,11 @@ INSERTED, FLOOR_INSERTED, THIN = (0.15, 0.5), (0.24, 0.95), 0.05  # their longes
 SURFACES, OPEN = (0.25, 1.35), 0.2  # heights of surfaces that objects are inserted on, and what is free above
 FOCUS, NEAR = (0.09, 0.6), 0.05  # area of the first of them: at least, and what makes it no likelier; of those near
 LITTER, FLOOR_LITTER = (0.03, 0.5), (0.12, 0.8)  # longest sides of what else lies about
-_BEARERS = frozenset(
-    {
-        "table", "round", "rectangular", "trestle", "bistro", "coffee_table", "coffee", "desk", "sideboard",
-        "nightstand", "counter", "chest", "bookcase", "shelf", "base_unit_a", "base_unit_b", "sink_unit_a",
-        "sink_unit_b", "bench", "piano", "radiator", "washer", "fireplace", "workbench",
-    }
-)  # fmt: skip
+_BEARERS = frozenset({
+    "table", "round", "rectangular", "trestle", "bistro", "coffee_table", "coffee", "desk", "sideboard",
+    "nightstand", "counter", "chest", "bookcase", "shelf", "base_unit_a", "base_unit_b", "sink_unit_a",
+    "sink_unit_b", "bench", "piano", "radiator", "washer", "fireplace", "workbench",
+})  # fmt: skip
 _SHELVED = frozenset({"bookcase", "shelf"})
 _COMMON = ("plant", "vase", "bowl", "book", "lamp", "box", "clock", "figurine", "jar", "fruit", "candle", "frame")
 _HABITS: dict[RoomType, tuple[str, ...]] = {
@@ -51,12 +49,10 @@ _HABITS: dict[RoomType, tuple[str, ...]] = {
     "study": ("stationery", "electronics", "paper", "glasses", "camera", "mug", "watch", "pawn", "tool", "die"),
 }  # fmt: skip
 _GLOWING = ("lamp", "candle", "lantern", "night light", "monitor", "electronics", "tablet", "sign", "neon", "bulb")
-_ON_FLOOR = frozenset(
-    {
-        "ball", "bag", "shoe", "box", "plant", "toy", "vase", "floor_plant", "bin", "basket", "suitcase", "speaker",
-        "guitar", "animal", "rocking_horse", "trunk", "stool", "pouf", "large_vase",
-    }
-)  # fmt: skip
+_ON_FLOOR = frozenset({
+    "ball", "bag", "shoe", "box", "plant", "toy", "vase", "floor_plant", "bin", "basket", "suitcase", "speaker",
+    "guitar", "animal", "rocking_horse", "trunk", "stool", "pouf", "large_vase",
+})  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -90,12 +86,12 @@ class Objects:
                     found.append(Spot(placed, shelf, apply_pose(placed.pose, local)))
         return found
 
-    def draw(self, rng: np.random.Generator, infos: Sequence[AssetInfo]) -> AssetInfo | None:
+    def draw(self, rng: Rng, infos: Sequence[AssetInfo]) -> AssetInfo | None:
         """Draw a category, then one of its assets that is not in the room yet; None where there is none."""
         fresh = [info for info in infos if info.id not in self.used]
         return draw_by_category(rng, fresh) if fresh else None
 
-    def put(self, rng: np.random.Generator, info: AssetInfo, spot: Spot, *, glows: bool = False) -> str | None:
+    def put(self, rng: Rng, info: AssetInfo, spot: Spot, *, glows: bool = False) -> str | None:
         """Stand an object somewhere on a surface, most with their front to the room; None where it does not fit."""
         piece = self.plan.piece(info)
         footing = None if piece is None else footing_of(piece.mesh)
@@ -114,7 +110,7 @@ class Objects:
                 return name
         return None
 
-    def put_on_floor(self, rng: np.random.Generator, info: AssetInfo, near: Float64, reach: float) -> str | None:
+    def put_on_floor(self, rng: Rng, info: AssetInfo, near: Float64, reach: float) -> str | None:
         """Stand an object on the floor, or wholly on a rug, within `reach` [m] of a point (2,)."""
         piece = self.plan.piece(info)
         footing = None if piece is None else footing_of(piece.mesh)
@@ -125,28 +121,20 @@ class Objects:
             place = near + reach * np.sqrt(rng.uniform(0.05, 1.0)) * np.array([np.cos(angle), np.sin(angle)])
             pose = pose_at(place, -footing.lowest + LIFT, float(rng.uniform(0.0, 2 * np.pi)))
             low, high = self.plan.box(piece, pose)
-            rugs = [name for name in self.plan.touched(low, high) if self._is_rug(name)]
+            touched = [self.plan.placed[name] for name in self.plan.touched(low, high)]
+            rugs = [placed for placed in touched if placed.piece.info.category == "rug"]
             if rugs:
-                rug = self.plan.placed[rugs[0]]
+                rug = rugs[0]
                 if (low[:2] < rug.low[:2]).any() or (high[:2] > rug.high[:2]).any():
                     continue
                 pose[2, 3] += rug.high[2]
-            name = self._add(rng, info, pose, apart_from=rugs)
+            name = self._add(rng, info, pose, apart_from=[rug.name for rug in rugs])
             if name is not None:
                 return name
         return None
 
-    def _is_rug(self, name: str) -> bool:
-        return self.plan.placed[name].piece.info.category == "rug"
-
     def _add(
-        self,
-        rng: np.random.Generator,
-        info: AssetInfo,
-        pose: Float64,
-        *,
-        apart_from: Sequence[str],
-        glows: bool = False,
+        self, rng: Rng, info: AssetInfo, pose: Float64, *, apart_from: Sequence[str], glows: bool = False
     ) -> str | None:
         piece = self.plan.piece(info)
         if piece is None or not self.plan.is_free(*self.plan.box(piece, pose), apart_from=apart_from, zones=False):
@@ -163,13 +151,16 @@ def _infos(plan: Plan, categories: Sequence[str] | frozenset[str], sides: tuple[
     return [i for i in infos if i.category in categories and i.size and sides[0] <= max(i.size) <= sides[1]]
 
 
-def insert(rng: np.random.Generator, objects: Objects, kind: RoomType, count: int, glows: bool) -> list[str]:
+def insert(rng: Rng, objects: Objects, kind: RoomType, count: int, glows: bool) -> list[str]:
     """Place the objects whose removal is rendered: on one surface, on the floor beside it, and on surfaces near.
 
     Returns their names. Raises `PlacementError` where the furniture leaves no room for them.
     """
     focus, near = _stage(rng, objects, kind)
-    small, large, lamps = _insertable(objects.plan, kind)
+    plan = objects.plan
+    small = [i for i in _infos(plan, (*_COMMON, *_HABITS[kind]), INSERTED) if i.size and sorted(i.size)[1] >= THIN]
+    large = _infos(plan, _ON_FLOOR, FLOOR_INSERTED)
+    lamps = [info for info in _infos(plan, _GLOWING, INSERTED) if info.emissive_part]
     names: list[str] = []
     for attempt in range(60 * count):
         if len(names) == count:
@@ -190,26 +181,18 @@ def insert(rng: np.random.Generator, objects: Objects, kind: RoomType, count: in
     raise PlacementError(f"only {len(names)} of {count} objects found a place in a {kind} room")
 
 
-def _insertable(plan: Plan, kind: RoomType) -> tuple[list[AssetInfo], list[AssetInfo], list[AssetInfo]]:
-    """List what may be inserted: on furniture, on the floor, and what can glow."""
-    small = _infos(plan, (*_COMMON, *_HABITS[kind]), INSERTED)
-    lamps = [info for info in _infos(plan, _GLOWING, INSERTED) if info.emissive_part]
-    return [i for i in small if i.size and sorted(i.size)[1] >= THIN], _infos(plan, _ON_FLOOR, FLOOR_INSERTED), lamps
-
-
-def _stage(rng: np.random.Generator, objects: Objects, kind: RoomType) -> tuple[Spot, list[Spot]]:
+def _stage(rng: Rng, objects: Objects, kind: RoomType) -> tuple[Spot, list[Spot]]:
     """Draw the surface that objects are inserted on, large ones more often, and list those near it."""
     spots = [s for s in objects.spots() if SURFACES[0] <= s.centre[2] <= SURFACES[1] and s.shelf.headroom > OPEN]
     wide = [s for s in spots if s.area > FOCUS[0] and s.owner.piece.info.category != "radiator"]
     if not wide:
         raise PlacementError(f"no surface for inserted objects among {len(spots)} in a {kind} room")
-    weights = np.array([min(s.area, FOCUS[1]) for s in wide])
-    focus = wide[int(rng.choice(len(wide), p=weights / weights.sum()))]
+    focus = pick(rng, wide, [min(s.area, FOCUS[1]) for s in wide])
     near = [s for s in spots if 0.0 < np.linalg.norm(s.centre - focus.centre) < REACH and s.area > NEAR]
     return focus, near
 
 
-def litter(rng: np.random.Generator, objects: Objects, kind: RoomType) -> None:
+def litter(rng: Rng, objects: Objects, kind: RoomType) -> None:
     """Put books on shelves and something on every surface that has room."""
     plan = objects.plan
     spots = objects.spots()
@@ -230,7 +213,7 @@ def litter(rng: np.random.Generator, objects: Objects, kind: RoomType) -> None:
             objects.put_on_floor(rng, info, rng.uniform(-0.4, 0.4, 2) * half, half)
 
 
-def _strew(rng: np.random.Generator, objects: Objects, spot: Spot, pool: list[AssetInfo], most: int) -> int:
+def _strew(rng: Rng, objects: Objects, spot: Spot, pool: list[AssetInfo], most: int) -> int:
     """Put objects that fit on a surface, `most` at most; return how many found a place."""
     side, height = 0.9 * np.sqrt(spot.area), spot.shelf.headroom - HEADROOM
     fitting = [info for info in pool if info.size and max(info.size[:2]) < side and info.size[2] < height]

@@ -10,7 +10,7 @@ from multilight.scenes.colour import linear_from_hex
 from multilight.scenes.materials import GLOW, metres_per_uv, pick_texture, sample_material, textured
 from multilight.scenes.meshes import Mesh, MeshPart, triangle_areas
 from multilight.scenes.spec import Material
-from multilight.scenes.streams import pick
+from multilight.scenes.streams import Rng, pick
 
 _FABRICS = (
     "8d8578", "5f6a72", "3f4a55", "7a3f33", "b9a88a", "4f5a45", "a9a29a", "2f3b52", "a5673f", "6b5b6e", "d2c7b4",
@@ -26,12 +26,10 @@ _TEXTURES = ("base_color_texture", "normal_texture", "roughness_texture")
 _BROWN = {"base_color": (0.36, 0.24, 0.14), "roughness": 0.5}
 """Wood where no picture of it can lie."""
 UPHOLSTERED = frozenset({"sofa", "armchair", "bed", "pouf", "office_chair"})
-CASEWORK = frozenset(
-    {
-        "wardrobe", "chest", "bookcase", "nightstand", "sideboard", "desk", "table", "coffee_table", "base_unit_a",
-        "base_unit_b", "sink_unit_a", "sink_unit_b", "wall_unit_a", "wall_unit_b", "tall_unit_a", "counter", "chair",
-    }
-)  # fmt: skip
+CASEWORK = frozenset({
+    "wardrobe", "chest", "bookcase", "nightstand", "sideboard", "desk", "table", "coffee_table", "base_unit_a",
+    "base_unit_b", "sink_unit_a", "sink_unit_b", "wall_unit_a", "wall_unit_b", "tall_unit_a", "counter", "chair",
+})  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -43,7 +41,7 @@ class Palette:
     casework: Material | None
 
 
-def sample_palette(rng: np.random.Generator, library: AssetLibrary) -> Palette:
+def sample_palette(rng: Rng, library: AssetLibrary) -> Palette:
     """Draw a room's palette."""
     joinery = sample_material(rng, "paint", colour=linear_from_hex(str(rng.choice(_JOINERY))), name="joinery")
     if rng.random() < WOODEN_JOINERY:
@@ -59,7 +57,7 @@ def sample_palette(rng: np.random.Generator, library: AssetLibrary) -> Palette:
     return Palette(joinery, covers, casework)
 
 
-def _cover(rng: np.random.Generator) -> Material:
+def _cover(rng: Rng) -> Material:
     """Draw a fabric or a leather."""
     if rng.random() < LEATHER:
         return sample_material(rng, "leather")
@@ -67,7 +65,7 @@ def _cover(rng: np.random.Generator) -> Material:
 
 
 def furniture_materials(
-    rng: np.random.Generator, palette: Palette, info: AssetInfo, mesh: Mesh, *, lit: bool = False
+    rng: Rng, palette: Palette, info: AssetInfo, mesh: Mesh, *, lit: bool = False
 ) -> tuple[Material, ...]:
     """Give each part of a piece of furniture its material: the asset's own mostly, the palette's where it is plain.
 
@@ -96,9 +94,7 @@ def unlit(material: Material) -> Material:
     return material.model_copy(update={"name": "opal"}) if material.name == GLOW else material
 
 
-def _finished(
-    rng: np.random.Generator, palette: Palette, info: AssetInfo, part: MeshPart, cover: Material | None
-) -> Material:
+def _finished(rng: Rng, palette: Palette, info: AssetInfo, part: MeshPart, cover: Material | None) -> Material:
     """Draw the material of a part: the palette's, the `cover`, or its own with another roughness."""
     own = part.material
     if own.name in ("joinery", "leaf"):

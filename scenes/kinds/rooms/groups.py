@@ -4,7 +4,6 @@ import numpy as np
 
 from multilight.scenes.assets.builtin.furnishings import CURTAIN_HEIGHT
 from multilight.scenes.assets.builtin.joinery import LINING, SILL
-from multilight.scenes.kinds.rooms.finish import furniture_materials
 from multilight.scenes.kinds.rooms.plan import HUNG, PlacedPiece, Plan
 from multilight.scenes.kinds.rooms.shell import Wall
 from multilight.scenes.poses import pose_at
@@ -24,7 +23,7 @@ FIRE, TV, WALL_TV = 0.2, 0.55, 0.7  # a fireplace instead of a screen; a screen 
 NO_RUG = 0.15  # under a coffee table
 
 
-def place_openings(rng: np.random.Generator, plan: Plan) -> None:
+def place_openings(plan: Plan) -> None:
     """Put windows and doors into their holes."""
     for opening in plan.shell.openings:
         piece = plan.piece(opening.info)
@@ -40,11 +39,11 @@ def place_openings(rng: np.random.Generator, plan: Plan) -> None:
         plan.put(piece, pose, materials, role="surrounding")
 
 
-def curtains(rng: np.random.Generator, plan: Plan, *, probability: float) -> None:
+def curtains(plan: Plan, *, probability: float) -> None:
     """Hang curtains before windows where there is room; all alike, or none."""
-    if rng.random() >= probability or plan.shell.height < CURTAIN_HEIGHT + 0.02:
+    if plan.rng.random() >= probability or plan.shell.height < CURTAIN_HEIGHT + 0.02:
         return
-    chosen = int(rng.integers(2))
+    chosen = int(plan.rng.integers(2))
     for opening in plan.shell.openings:
         key = opening.info.id.split("-")
         if opening.is_door or key[0] != "builtin/window":
@@ -55,32 +54,30 @@ def curtains(rng: np.random.Generator, plan: Plan, *, probability: float) -> Non
             own = [placed.name for placed in plan.placed.values() if placed.piece.info.category == "window"]
             out = piece.size[1] / 2 + HUNG
             pose = pose_at(opening.wall.point(opening.along, float(out)), 0.001, opening.wall.angle)
-            if plan.is_free(*plan.box(piece, pose), apart_from=own, boards=False):
-                materials = furniture_materials(rng, plan.palette, piece.info, piece.mesh)
-                plan.put(piece, pose, materials, role="surrounding")
+            plan.add(piece, pose, apart_from=own, boards=False)
 
 
-def ceiling_light(rng: np.random.Generator, plan: Plan) -> None:
+def ceiling_light(plan: Plan) -> None:
     """Hang a lamp at the centre of the ceiling: a pendant where it hangs high enough or over a table."""
     if any(placed.piece.info.category == "pendant" for placed in plan.placed.values()):
         return
     tall = plan.shell.height - UNDER_LAMP
-    piece = plan.choose(rng, "pendant", largest=(*PENDANT, tall)) if rng.random() < 0.5 else None
-    piece = piece or plan.choose(rng, "ceilinglamp", "ceiling_lamp")
+    piece = plan.choose("pendant", largest=(*PENDANT, tall)) if plan.rng.random() < 0.5 else None
+    piece = piece or plan.choose("ceilinglamp", "ceiling_lamp")
     if piece is not None:
-        plan.hang(rng, piece, rng.uniform(-0.3, 0.3, 2))
+        plan.hang(piece, plan.rng.uniform(-0.3, 0.3, 2))
 
 
-def along_walls(rng: np.random.Generator, plan: Plan, *categories: str, probability: float) -> PlacedPiece | None:
+def along_walls(plan: Plan, *categories: str, probability: float) -> PlacedPiece | None:
     """Stand one piece with its back to some wall, a free walkway before it, in some of the rooms."""
-    if rng.random() >= probability:
+    if plan.rng.random() >= probability:
         return None
     for _ in range(3):
-        piece = plan.choose(rng, *categories, largest=(2.6, 0.8, plan.shell.height - 0.1))
+        piece = plan.choose(*categories, largest=(2.6, 0.8, plan.shell.height - 0.1))
         if piece is None:
             return None
-        for wall in plan.walls_by_room(rng):
-            done = plan.against_wall(rng, piece, wall)
+        for wall in plan.walls_by_room():
+            done = plan.against_wall(piece, wall)
             if done is not None:
                 keep_walkway(plan, done, wall)
                 return done
@@ -89,20 +86,17 @@ def along_walls(rng: np.random.Generator, plan: Plan, *categories: str, probabil
 
 def keep_walkway(plan: Plan, placed: PlacedPiece, wall: Wall) -> None:
     """Keep a walkway free before a piece at a wall."""
-    step = np.append(wall.inward * WALKWAY, 0.0)
-    low, high = np.minimum(placed.low, placed.low + step), np.maximum(placed.high, placed.high + step)
-    front = np.append(wall.inward, 0.0)
-    inner_low = np.where(front > 0, placed.high, low)
-    inner_high = np.where(front < 0, placed.low, high)
-    low, high = np.where(front != 0, inner_low, placed.low), np.where(front != 0, inner_high, placed.high)
-    high[2], low[2] = 1.8, 0.05
-    plan.keep_free(np.minimum(low, high), np.maximum(low, high))
+    step = wall.inward * WALKWAY
+    low = np.where(wall.inward > 0, placed.high[:2], placed.low[:2]) + np.minimum(step, 0.0)
+    high = np.where(wall.inward < 0, placed.low[:2], placed.high[:2]) + np.maximum(step, 0.0)
+    plan.keep_free(np.append(low, 0.05), np.append(high, 1.8))
 
 
-def in_corners(rng: np.random.Generator, plan: Plan, *categories: str, count: int) -> None:
+def in_corners(plan: Plan, *categories: str, count: int) -> None:
     """Stand pieces near corners, their front towards the centre of the room."""
+    rng = plan.rng
     for _ in range(count):
-        piece = plan.choose(rng, *categories, largest=(1.1, 1.1, plan.shell.height - 0.3))
+        piece = plan.choose(*categories, largest=(1.1, 1.1, plan.shell.height - 0.3))
         if piece is None:
             return
         for _ in range(16):
@@ -112,149 +106,138 @@ def in_corners(rng: np.random.Generator, plan: Plan, *categories: str, count: in
             place = np.where(rng.random(2) < 0.5, place, np.sign(place) * half)
             angle = float(np.arctan2(-place[0], place[1])) + rng.normal(0.0, 0.2)
             lit = "lamp" in piece.info.category
-            if plan.stand(rng, piece, place, angle, lit=lit) is not None:
+            if plan.stand(piece, place, angle, lit=lit) is not None:
                 break
 
 
-def on_walls(rng: np.random.Generator, plan: Plan, *, shelves: int, pictures: int) -> None:
+def on_walls(plan: Plan, *, shelves: int, pictures: int) -> None:
     """Hang shelves, pictures, sometimes a mirror or a clock, at eye level or above what stands there."""
     wanted = ["shelf"] * shelves + ["picture"] * pictures
-    wanted += ["mirror"] * int(rng.random() < MIRROR) + ["wall_clock"] * int(rng.random() < CLOCK)
+    wanted += ["mirror"] * int(plan.rng.random() < MIRROR) + ["wall_clock"] * int(plan.rng.random() < CLOCK)
     for category in wanted:
         deep = 0.05 if category in ("mirror", "picture") else 0.3
-        piece = plan.choose(rng, category, largest=(1.5, deep, 1.5))
+        piece = plan.choose(category, largest=(1.5, deep, 1.5))
         if piece is None:
             continue
         for _ in range(10):
-            wall = plan.shell.walls[int(rng.integers(4))]
+            wall = plan.shell.walls[int(plan.rng.integers(4))]
             tall = float(piece.size[2])
-            centre = float(rng.uniform(*(SHELF_LEVEL if category == "shelf" else EYE_LEVEL)))
+            centre = float(plan.rng.uniform(*(SHELF_LEVEL if category == "shelf" else EYE_LEVEL)))
             z = float(np.clip(centre - tall / 2, 0.5, plan.shell.height - tall - 0.15))
-            if plan.against_wall(rng, piece, wall, z=z, tries=2) is not None:
+            if plan.against_wall(piece, wall, z=z, tries=2) is not None:
                 break
 
 
-def seating(rng: np.random.Generator, plan: Plan) -> None:
+def seating(plan: Plan) -> None:
     """A screen or fire at one wall, a sofa that faces it, a coffee table between them, armchairs beside."""
     for _ in range(4):
-        for wall in plan.walls_by_room(rng):
+        for wall in plan.walls_by_room():
             mark = plan.mark()
-            if _seated(rng, plan, wall, along=float(rng.uniform(-0.2, 0.2)) * wall.length):
+            if _seated(plan, wall, along=float(plan.rng.uniform(-0.2, 0.2)) * wall.length):
                 return
             plan.back_to(mark)
 
 
-def _seated(rng: np.random.Generator, plan: Plan, wall: Wall, *, along: float) -> bool:
+def _seated(plan: Plan, wall: Wall, *, along: float) -> bool:
     """Try to set up the seating group before a wall; tell whether there is a sofa or, without any, a table."""
-    media = _media(rng, plan, wall, along)
-    sofa = plan.choose(rng, "sofa", largest=(min(2.4, wall.length - 1.2), 1.2, 1.3))
-    table = plan.choose(rng, "coffee_table", "coffee", largest=(1.4, 0.9, 0.6))
-    gap = float(rng.uniform(*AT_TABLE))
+    media = _media(plan, wall, along)
+    sofa = plan.choose("sofa", largest=(min(2.4, wall.length - 1.2), 1.2, 1.3))
+    table = plan.choose("coffee_table", "coffee", largest=(1.4, 0.9, 0.6))
+    gap = float(plan.rng.uniform(*AT_TABLE))
     long = 0.0 if table is None else float(table.size[1])
     deep = 0.9 if sofa is None else float(sofa.size[1])
-    out = _sofa_out(rng, plan, wall, media, deep)
+    out = _sofa_out(plan, wall, media, deep)
     centre = out - deep / 2 - gap - long / 2
     if sofa is not None:
         angle = wall.angle + np.pi
-        if plan.stand(rng, sofa, wall.point(along, out), angle, role="support") is None:
+        if plan.stand(sofa, wall.point(along, out), angle, role="support") is None:
             return False
-    carpet = _rug(rng, plan, wall, along, centre, table_size=(1.3, long), room=2 * gap + long - 0.1)
+    carpet = _rug(plan, wall, along, centre, long=long, room=2 * gap + long - 0.1)
     if table is not None:
         base = 0.0 if carpet is None else float(carpet.high[2])
         names = () if carpet is None else (carpet.name,)
-        angle = wall.angle + np.pi * int(rng.integers(2))
+        angle = wall.angle + np.pi * int(plan.rng.integers(2))
         place = wall.point(along, centre)
-        if plan.stand(rng, table, place, angle, base=base, role="support", apart_from=names) is None:
+        if plan.stand(table, place, angle, base=base, role="support", apart_from=names) is None:
             return False
-    for side in rng.permutation([-1.0, 1.0])[: int(rng.integers(1, 3))]:
-        _armchair(rng, plan, wall, along, centre, side=float(side))
-    _beside_sofa(rng, plan, wall, along, out, sofa_wide=2.0 if sofa is None else float(sofa.size[0]))
+    for side in plan.rng.permutation([-1.0, 1.0])[: int(plan.rng.integers(1, 3))]:
+        _armchair(plan, wall, along, centre, side=float(side))
+    _beside_sofa(plan, wall, along, out, sofa_wide=2.0 if sofa is None else float(sofa.size[0]))
     return True
 
 
-def _sofa_out(rng: np.random.Generator, plan: Plan, wall: Wall, media: PlacedPiece | None, deep: float) -> float:
+def _sofa_out(plan: Plan, wall: Wall, media: PlacedPiece | None, deep: float) -> float:
     """Draw how far from a wall [m] a sofa's centre stands that looks at it and is so `deep` [m]."""
     across = plan.shell.depth if abs(wall.inward[1]) > 0.5 else plan.shell.width
     depth = 0.0 if media is None else float(media.piece.size[1])
-    out = depth + float(rng.uniform(*SIT_APART)) + deep / 2
+    out = depth + float(plan.rng.uniform(*SIT_APART)) + deep / 2
     if across - BEHIND_SOFA - deep > depth + 1.7:
         return min(out, across - BEHIND_SOFA - deep / 2)
     return across - 0.04 - deep / 2
 
 
-def _armchair(rng: np.random.Generator, plan: Plan, wall: Wall, along: float, out: float, *, side: float) -> None:
+def _armchair(plan: Plan, wall: Wall, along: float, out: float, *, side: float) -> None:
     """Stand an armchair beside the coffee table, its front towards it."""
-    chair = plan.choose(rng, "armchair", largest=(1.1, 1.1, 1.2))
+    chair = plan.choose("armchair", largest=(1.1, 1.1, 1.2))
     if chair is None:
         return
     for reach in ARMCHAIR_ASIDE:
-        place = wall.point(along + side * (reach + float(chair.size[1]) / 2), out + float(rng.normal(0, 0.1)))
-        angle = wall.angle + side * (0.25 - np.pi / 2) + float(rng.normal(0.0, 0.2))
-        if plan.stand(rng, chair, place, angle, role="support") is not None:
+        place = wall.point(along + side * (reach + float(chair.size[1]) / 2), out + float(plan.rng.normal(0, 0.1)))
+        angle = wall.angle + side * (0.25 - np.pi / 2) + float(plan.rng.normal(0.0, 0.2))
+        if plan.stand(chair, place, angle, role="support") is not None:
             return
 
 
-def _media(rng: np.random.Generator, plan: Plan, wall: Wall, along: float) -> PlacedPiece | None:
+def _media(plan: Plan, wall: Wall, along: float) -> PlacedPiece | None:
     """Stand a fireplace, or a low board for a television, at a wall."""
-    fire = plan.choose(rng, "fireplace") if rng.random() < FIRE else None
+    fire = plan.choose("fireplace") if plan.rng.random() < FIRE else None
     if fire is not None:
-        return plan.against_wall(rng, fire, wall, along=along, lit=True)
-    board = plan.choose(rng, "sideboard", "bench", "chest", largest=(1.9, 0.6, 0.95))
-    stand = None if board is None else plan.against_wall(rng, board, wall, along=along, role="support")
-    screen = plan.choose(rng, "wall_tv")
-    if stand is not None and rng.random() < TV:
-        set_ = plan.choose(rng, "tv", largest=(float(stand.piece.size[0]), float(stand.piece.size[1]) + 0.1, 0.8))
-        if set_ is not None and plan.on_top(rng, set_, stand, angle=wall.angle, lit=True) is not None:
+        return plan.against_wall(fire, wall, along=along, lit=True)
+    board = plan.choose("sideboard", "bench", "chest", largest=(1.9, 0.6, 0.95))
+    stand = None if board is None else plan.against_wall(board, wall, along=along, role="support")
+    screen = plan.choose("wall_tv")
+    if stand is not None and plan.rng.random() < TV:
+        set_ = plan.choose("tv", largest=(float(stand.piece.size[0]), float(stand.piece.size[1]) + 0.1, 0.8))
+        if set_ is not None and plan.on_top(set_, stand, angle=wall.angle, lit=True) is not None:
             return stand
-    if screen is not None and rng.random() < WALL_TV:
+    if screen is not None and plan.rng.random() < WALL_TV:
         base = 0.9 if stand is None else max(0.95, float(stand.high[2]) + 0.25)
-        plan.against_wall(rng, screen, wall, along=along, z=base, lit=True)
+        plan.against_wall(screen, wall, along=along, z=base, lit=True)
     return stand
 
 
-def _rug(
-    rng: np.random.Generator,
-    plan: Plan,
-    wall: Wall,
-    along: float,
-    out: float,
-    *,
-    table_size: tuple[float, float],
-    room: float,
-) -> PlacedPiece | None:
-    """Lay a rug that a table stands on wholly, and that leaves the sofa's feet on the floor."""
+def _rug(plan: Plan, wall: Wall, along: float, out: float, *, long: float, room: float) -> PlacedPiece | None:
+    """Lay a rug that a table so `long` [m] stands on wholly, and that leaves the sofa's feet on the floor."""
     for _ in range(4):
-        piece = plan.choose(rng, "rug", largest=(2.8, room + 0.55, 0.1))
-        if piece is None or rng.random() < NO_RUG:
+        piece = plan.choose("rug", largest=(2.8, room + 0.55, 0.1))
+        if piece is None or plan.rng.random() < NO_RUG:
             return None
-        if piece.size[0] > table_size[0] and piece.size[1] > table_size[1] + 0.04:
+        if piece.size[0] > 1.3 and piece.size[1] > long + 0.04:
             shift = max(0.0, float(piece.size[1]) - room) / 2
-            done = plan.add(rng, piece, pose_at(wall.point(along, out - shift), 0.0, wall.angle), zones=False)
+            done = plan.add(piece, pose_at(wall.point(along, out - shift), 0.0, wall.angle), zones=False)
             if done is not None:
                 return done
     return None
 
 
-def _beside_sofa(
-    rng: np.random.Generator, plan: Plan, wall: Wall, along: float, out: float, *, sofa_wide: float
-) -> None:
+def _beside_sofa(plan: Plan, wall: Wall, along: float, out: float, *, sofa_wide: float) -> None:
     """Stand a small table with a lamp, or a floor lamp, beside the sofa."""
-    side = float(rng.choice([-1.0, 1.0]))
-    lamp = plan.choose(rng, "floorlamp", "floor_lamp") if rng.random() < 0.5 else None
+    side = float(plan.rng.choice([-1.0, 1.0]))
+    lamp = plan.choose("floorlamp", "floor_lamp") if plan.rng.random() < 0.5 else None
     if lamp is not None:
         place = wall.point(along + side * (sofa_wide / 2 + 0.08 + float(lamp.size[0]) / 2), out + 0.1)
-        plan.stand(rng, lamp, place, wall.angle, lit=True)
+        plan.stand(lamp, place, wall.angle, lit=True)
         side = -side
-    small = plan.choose(rng, "nightstand", "table", "coffee_table", "bistro", largest=(0.62, 0.62, 0.75))
+    small = plan.choose("nightstand", "table", "coffee_table", "bistro", largest=(0.62, 0.62, 0.75))
     if small is not None:
         place = wall.point(along + side * (sofa_wide / 2 + 0.06 + float(small.size[0]) / 2), out + 0.05)
-        stand = plan.stand(rng, small, place, wall.angle + np.pi, role="support")
+        stand = plan.stand(small, place, wall.angle + np.pi, role="support")
         if stand is not None:
-            lamp_on(rng, plan, stand)
+            lamp_on(plan, stand)
 
 
-def lamp_on(rng: np.random.Generator, plan: Plan, stand: PlacedPiece) -> PlacedPiece | None:
+def lamp_on(plan: Plan, stand: PlacedPiece) -> PlacedPiece | None:
     """Stand a lamp on the centre of a small piece of furniture with a flat top."""
     wide = float(min(stand.piece.size[:2]))
-    lamp = plan.choose(rng, "tablelamp", "big_table_lamp", largest=(wide + 0.05, wide + 0.05, 0.75))
-    return None if lamp is None else plan.on_top(rng, lamp, stand, angle=0.0, lit=True)
+    lamp = plan.choose("tablelamp", "big_table_lamp", largest=(wide + 0.05, wide + 0.05, 0.75))
+    return None if lamp is None else plan.on_top(lamp, stand, angle=0.0, lit=True)

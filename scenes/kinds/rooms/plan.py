@@ -23,6 +23,7 @@ from multilight.scenes.names import free_name
 from multilight.scenes.poses import apply_pose, pose_at
 from multilight.scenes.spec import Body, Material, Role
 from multilight.scenes.still_life.setting import make_body
+from multilight.scenes.streams import Rng
 
 GAP = 0.006
 """Smallest distance [m] between the boxes of two bodies."""
@@ -75,13 +76,11 @@ def _holds(piece: Piece) -> bool:
 
 
 class Plan:
-    """Bodies placed so far, and what must stay free."""
+    """Bodies placed so far, what must stay free, and the generator that furniture is drawn with."""
 
-    def __init__(self, library: AssetLibrary, shell: Shell, palette: Palette, bodies: list[Body]) -> None:
-        self.library, self.shell, self.palette = library, shell, palette
-        self.bodies = bodies
+    def __init__(self, rng: Rng, library: AssetLibrary, shell: Shell, palette: Palette, bodies: list[Body]) -> None:
+        self.rng, self.library, self.shell, self.palette, self.bodies = rng, library, shell, palette, bodies
         self.placed: dict[str, PlacedPiece] = {}
-        self._names: list[str] = []
         self._low, self._high = np.empty((0, 3)), np.empty((0, 3))
         self._zones: list[tuple[Float64, Float64]] = []
         self._pieces: dict[str, Piece | None] = {}
@@ -99,9 +98,7 @@ class Plan:
                 self._pieces[info.id] = None
         return self._pieces[info.id]
 
-    def choose(
-        self, rng: np.random.Generator, *categories: str, largest: tuple[float, float, float] = (9.0, 9.0, 9.0)
-    ) -> Piece | None:
+    def choose(self, *categories: str, largest: tuple[float, float, float] = (9.0, 9.0, 9.0)) -> Piece | None:
         """Draw a model of the categories that is at most so large (x, y, z) [m]; None where there is none.
 
         What does not hang must stand as it comes, and what hangs must hang.
@@ -110,7 +107,7 @@ class Plan:
         infos = [info for role in roles for info in self.library.list(role) if info.category in categories]
         fitting = [info for info in infos if info.size and all(a <= b for a, b in zip(info.size, largest, strict=True))]
         while fitting:
-            info = fitting.pop(int(rng.integers(len(fitting))))
+            info = fitting.pop(int(self.rng.integers(len(fitting))))
             piece = self.piece(info)
             if piece is not None and _holds(piece):
                 return piece
@@ -124,27 +121,21 @@ class Plan:
         """Keep the floor before each door free."""
         for opening in self.shell.openings:
             if opening.is_door:
-                ends = np.array(
-                    [
-                        opening.wall.point(opening.along + s * (opening.width / 2 + 0.1), out)
-                        for s in (-1, 1)
-                        for out in (0.0, DOOR_ZONE)
-                    ]
-                )
+                sides = (opening.along - (opening.width / 2 + 0.1), opening.along + (opening.width / 2 + 0.1))
+                ends = np.array([opening.wall.point(side, out) for side in sides for out in (0.0, DOOR_ZONE)])
                 self.keep_free(np.append(ends.min(axis=0), 0.0), np.append(ends.max(axis=0), 2.1))
 
     def mark(self) -> tuple[int, int]:
         """Remember how far the room is furnished."""
-        return len(self._names), len(self._zones)
+        return len(self.placed), len(self._zones)
 
     def back_to(self, mark: tuple[int, int]) -> None:
         """Take everything out that was placed after a mark."""
         pieces, zones = mark
-        for name in self._names[pieces:]:
-            del self.placed[name]
+        for name in list(self.placed)[pieces:]:
+            del self.placed[name], self.bodies[-1]
             self._solids.pop(name, None)
-        del self.bodies[len(self.bodies) - (len(self._names) - pieces) :]
-        del self._names[pieces:], self._zones[zones:]
+        del self._zones[zones:]
         self._low, self._high = self._low[:pieces], self._high[:pieces]
 
     def box(self, piece: Piece, pose: Float64) -> tuple[Float64, Float64]:
@@ -169,11 +160,10 @@ class Plan:
         """Name the bodies whose boxes come within `GAP` of a box; what lies below or above may touch."""
         gap = np.array([GAP, GAP, 0.0])
         meets = (self._low < high + gap).all(axis=1) & (self._high > low - gap).all(axis=1)
-        return [self._names[int(i)] for i in np.flatnonzero(meets)]
+        return [name for name, near in zip(self.placed, meets, strict=True) if near]
 
     def add(
         self,
-        rng: np.random.Generator,
         piece: Piece,
         pose: Float64,
         *,
@@ -181,17 +171,17 @@ class Plan:
         apart_from: Sequence[str] = (),
         lit: bool = False,
         zones: bool = True,
+        boards: bool = True,
     ) -> PlacedPiece | None:
         """Put a piece where it is free, with the palette's materials; None where something is there already."""
         low, high = self.box(piece, pose)
-        if not self.is_free(low, high, apart_from=apart_from, zones=zones):
+        if not self.is_free(low, high, apart_from=apart_from, zones=zones, boards=boards):
             return None
-        materials = furniture_materials(rng, self.palette, piece.info, piece.mesh, lit=lit)
+        materials = furniture_materials(self.rng, self.palette, piece.info, piece.mesh, lit=lit)
         return self.put(piece, pose, materials, role=role)
 
     def stand(
         self,
-        rng: np.random.Generator,
         piece: Piece,
         place: Float64,
         angle: float,
@@ -202,18 +192,18 @@ class Plan:
         lit: bool = False,
     ) -> PlacedPiece | None:
         """Stand a piece at (x, y), `base` [m] above the floor, its yaw `angle` [rad]; None where it is not free."""
-        return self.add(rng, piece, pose_at(place, base + LIFT, angle), role=role, apart_from=apart_from, lit=lit)
+        return self.add(piece, pose_at(place, base + LIFT, angle), role=role, apart_from=apart_from, lit=lit)
 
-    def hang(self, rng: np.random.Generator, piece: Piece, place: Float64) -> None:
+    def hang(self, piece: Piece, place: Float64) -> None:
         """Hang a lamp that is lit under the ceiling, at (x, y), where that is free."""
-        self.add(rng, piece, pose_at(place, self.shell.height - HUNG - float(piece.size[2]), 0.0), lit=True)
+        self.add(piece, pose_at(place, self.shell.height - HUNG - float(piece.size[2]), 0.0), lit=True)
 
-    def tuck(self, rng: np.random.Generator, chair: Piece, table: PlacedPiece, poses: Iterable[Float64]) -> None:
+    def tuck(self, chair: Piece, table: PlacedPiece, poses: Iterable[Float64]) -> None:
         """Stand a chair at a table: in the first of some poses in which it is clear of the table and of all else."""
         for pose in poses:
             free = self.is_free(*self.box(chair, pose), apart_from=(table.name,))
             if free and self.clear_of(chair, pose, table):
-                self.add(rng, chair, pose, apart_from=(table.name,))
+                self.add(chair, pose, apart_from=(table.name,))
                 return
 
     def put(self, piece: Piece, pose: Float64, materials: tuple[Material, ...], *, role: Role) -> PlacedPiece:
@@ -221,14 +211,12 @@ class Plan:
         low, high = self.box(piece, pose)
         name = free_name(piece.info.category, {body.name for body in self.bodies}, otherwise="object")
         self.bodies.append(make_body(name, role, piece.info, piece.mesh, materials, pose))
-        self._names.append(name)
         self._low, self._high = np.vstack([self._low, low]), np.vstack([self._high, high])
         self.placed[name] = PlacedPiece(name, piece, pose, low, high)
         return self.placed[name]
 
     def against_wall(
         self,
-        rng: np.random.Generator,
         piece: Piece,
         wall: Wall,
         *,
@@ -244,8 +232,8 @@ class Plan:
         if slack < 0:
             return None
         for _ in range(1 if along is not None else tries):
-            here = float(rng.uniform(-slack, slack)) if along is None else float(np.clip(along, -slack, slack))
-            done = self.add(rng, piece, pose_at(wall.point(here, out), z, wall.angle), role=role, lit=lit)
+            here = float(self.rng.uniform(-slack, slack)) if along is None else float(np.clip(along, -slack, slack))
+            done = self.add(piece, pose_at(wall.point(here, out), z, wall.angle), role=role, lit=lit)
             if done is not None:
                 return done
         return None
@@ -265,9 +253,7 @@ class Plan:
         probe.set_transform("piece", pose)
         return not probe.in_collision_other(solid)
 
-    def on_top(
-        self, rng: np.random.Generator, piece: Piece, stand: PlacedPiece, *, angle: float, lit: bool = False
-    ) -> PlacedPiece | None:
+    def on_top(self, piece: Piece, stand: PlacedPiece, *, angle: float, lit: bool = False) -> PlacedPiece | None:
         """Stand a piece on the highest surface of another, where its foot has most room; None where it has none."""
         shelves = shelves_of(stand.piece.mesh)
         vertices = piece.mesh.vertices()
@@ -280,9 +266,9 @@ class Plan:
         upon = pose_at(centre, surface.height + 0.0003, local)
         if not surface.supports(foot @ upon[:2, :2].T + centre, 0.004):
             return None
-        return self.add(rng, piece, stand.pose @ upon, apart_from=(stand.name,), lit=lit)
+        return self.add(piece, stand.pose @ upon, apart_from=(stand.name,), lit=lit)
 
-    def walls_by_room(self, rng: np.random.Generator) -> list[Wall]:
+    def walls_by_room(self) -> list[Wall]:
         """Return the walls, those without openings first, otherwise in a random order."""
-        order = [self.shell.walls[int(i)] for i in rng.permutation(4)]
+        order = [self.shell.walls[int(i)] for i in self.rng.permutation(4)]
         return sorted(order, key=lambda wall: not self.shell.free(wall))

@@ -16,7 +16,7 @@ from multilight.scenes.kinds.rooms.views import Room, sample_views
 from multilight.scenes.poses import rotated_scene
 from multilight.scenes.spec import SceneSpec
 from multilight.scenes.still_life.attempts import SceneSettings, first_success
-from multilight.scenes.streams import Streams, Weights
+from multilight.scenes.streams import Rng, Streams, Weights
 
 ATTEMPTS = 16
 
@@ -78,17 +78,18 @@ def _furnished(
     rng = streams(f"shell/{attempt}")
     palette = sample_palette(rng, library)
     shell = sample_shell(rng, library, span=SPANS[kind])
-    plan = Plan(library, shell, palette, shell_bodies(rng, library, shell, palette, kind))
-    place_openings(rng, plan)
+    bodies = shell_bodies(rng, library, shell, palette, kind)
+    plan = Plan(streams(f"furniture/{attempt}"), library, shell, palette, bodies)
+    place_openings(plan)
     plan.keep_doors_free()
-    FURNISH[kind](streams(f"furniture/{attempt}"), plan)
+    FURNISH[kind](plan)
     objects = Objects(plan)
     names = insert(streams(f"objects/{attempt}"), objects, kind, count, glows)
     litter(streams(f"clutter/{attempt}"), objects, kind)
     return plan, names
 
 
-def _room(probes: np.random.Generator, library: AssetLibrary, plan: Plan, names: list[str]) -> Room:
+def _room(probes: Rng, library: AssetLibrary, plan: Plan, names: list[str]) -> Room:
     """Collect what cameras must show and avoid."""
     watched = {
         index: np.concatenate([surface_points(body, library, probes, 48), extreme_points(body, library)])

@@ -15,8 +15,8 @@ from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.kinds.rooms.finish import Palette
 from multilight.scenes.materials import painted_wall, pick_texture, sample_material, textured
 from multilight.scenes.spec import Body, Material
-from multilight.scenes.still_life.planes import Pair, downward_pose, level_pose, plane, skirting, upright_pose
-from multilight.scenes.streams import pick
+from multilight.scenes.still_life.planes import downward_pose, level_pose, plane, skirting, upright_pose
+from multilight.scenes.streams import Rng, pick
 
 OVERSHOOT = 0.3
 """How far [m] walls, floor and ceiling run on behind each other."""
@@ -61,11 +61,6 @@ class Wall:
         """Return how far along the wall a place (x, y) lies from its midpoint [m]."""
         return float((place - self.centre) @ self.right)
 
-    @property
-    def facing(self) -> Pair:
-        """The unit vector into the room as a pair."""
-        return float(self.inward[0]), float(self.inward[1])
-
 
 @dataclass(frozen=True)
 class Opening:
@@ -100,9 +95,7 @@ class Shell:
         return all(opening.wall is not wall for opening in self.openings)
 
 
-def sample_shell(
-    rng: np.random.Generator, library: AssetLibrary, *, span: tuple[tuple[float, float], tuple[float, float]]
-) -> Shell:
+def sample_shell(rng: Rng, library: AssetLibrary, *, span: tuple[tuple[float, float], tuple[float, float]]) -> Shell:
     """Draw a room's size, its windows on one or two walls and its door on another.
 
     `span` gives the least and greatest length of the longer and of the shorter side [m].
@@ -137,12 +130,10 @@ def _size(info: AssetInfo) -> tuple[float, float, float]:
     return info.size
 
 
-def _windows(rng: np.random.Generator, library: AssetLibrary, shell: Shell, wall: Wall) -> None:
+def _windows(rng: Rng, library: AssetLibrary, shell: Shell, wall: Wall) -> None:
     """Cut one window, or two alike, into a wall."""
-    fitting = [
-        info for info in library.list("surrounding") if info.category == "window" and _size(info)[0] < wall.length - 0.5
-    ]
-    info = pick(rng, fitting)
+    windows = [info for info in library.list("surrounding") if info.category == "window"]
+    info = pick(rng, [info for info in windows if _size(info)[0] < wall.length - 0.5])
     outer, _, tall = _size(info)
     top = float(rng.uniform(*HEADS))
     bottom = top - (tall - SILL - CASING) - LINING
@@ -157,9 +148,7 @@ def _windows(rng: np.random.Generator, library: AssetLibrary, shell: Shell, wall
         shell.openings.append(Opening(wall, along, width, bottom, top, info, WINDOW_PROUD))
 
 
-def shell_bodies(
-    rng: np.random.Generator, library: AssetLibrary, shell: Shell, palette: Palette, kind: str
-) -> list[Body]:
+def shell_bodies(rng: Rng, library: AssetLibrary, shell: Shell, palette: Palette, kind: str) -> list[Body]:
     """Build floor, ceiling, walls and skirting; windows and doors are placed as pieces."""
     x, y, over = shell.width, shell.depth, 2 * OVERSHOOT
     size = (x + over, y + over)
@@ -179,17 +168,16 @@ def shell_bodies(
     return bodies
 
 
-def _floor(rng: np.random.Generator, library: AssetLibrary, kind: str) -> Material:
+def _floor(rng: Rng, library: AssetLibrary, kind: str) -> Material:
     """Draw a floor: boards and parquet mostly, tiles in kitchens, carpet sometimes."""
-    categories = _KITCHEN_FLOORS if kind == "kitchen" else _FLOORS
-    wanted = pick(rng, categories)
+    wanted = pick(rng, _KITCHEN_FLOORS if kind == "kitchen" else _FLOORS)
     info = pick_texture(rng, library, frozenset({wanted}), laid=True)
     if info is None:
         return sample_material(rng, "wood", name="floor")
     return textured(rng, info, _FINISH.get(wanted, "floor"))
 
 
-def _accent(rng: np.random.Generator, library: AssetLibrary) -> Material:
+def _accent(rng: Rng, library: AssetLibrary) -> Material:
     """Draw the finish of the one wall that differs: brick, plaster, or another paint."""
     info = pick_texture(rng, library, frozenset({"brick", "plaster", "concrete"}), laid=True)
     return painted_wall(rng) if info is None or rng.random() < 0.5 else textured(rng, info, "wall")
@@ -203,16 +191,14 @@ def _wall(shell: Shell, wall: Wall, material: Material) -> list[Body]:
     here = -end
     for opening in sorted((o for o in shell.openings if o.wall is wall), key=lambda o: o.along):
         left, right = opening.along - opening.width / 2, opening.along + opening.width / 2
-        panels.append((here, left, low, high))
-        panels.append((left, right, opening.top, high))
+        panels += [(here, left, low, high), (left, right, opening.top, high)]
         if not opening.is_door:
             panels.append((left, right, low, opening.bottom))
         here = right
     panels.append((here, end, low, high))
     bodies = []
     for number, (left, right, bottom, top) in enumerate(panels):
-        place = wall.point((left + right) / 2, 0.0)
-        pose = upright_pose((float(place[0]), float(place[1]), (bottom + top) / 2), wall.facing)
+        pose = upright_pose((*wall.point((left + right) / 2, 0.0), (bottom + top) / 2), wall.inward)
         bodies.append(plane(f"wall_{wall.name}_{number}", (right - left, top - bottom), material, pose))
     return bodies
 
@@ -229,8 +215,7 @@ def _skirting(shell: Shell, wall: Wall, material: Material, board: tuple[float, 
     here = -wall.length / 2
     for number, (left, right) in enumerate([*sorted(cuts), (wall.length / 2, np.inf)]):
         if left - here > 0.02:
-            x, y = (float(v) for v in wall.point((here + left) / 2, 0.0))
-            size = (left - here, high, thick)
-            bodies += skirting(f"skirting_{wall.name}_{number}", (x, y), wall.facing, size, material)
+            size, foot = (left - here, high, thick), wall.point((here + left) / 2, 0.0)
+            bodies += skirting(f"skirting_{wall.name}_{number}", foot, wall.inward, size, material)
         here = right
     return bodies

@@ -8,7 +8,7 @@ from trimesh import Trimesh
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from multilight.scenes.arrays import Float64, Mask
-from multilight.scenes.geometry.support_surfaces import SupportSurface, as_trimesh
+from multilight.scenes.geometry.support_surfaces import SupportSurface, as_trimesh, largest_region
 from multilight.scenes.meshes import Mesh, triangle_crosses
 
 CELL = 0.015
@@ -16,6 +16,8 @@ FLATNESS = 0.0005
 """How far [m] cells of one surface may lie above or below its height."""
 HEADROOM = 0.12
 """Least free height [m] above a shelf."""
+SMALLEST = 0.16
+"""Side [m] of the square that a shelf holds at least."""
 LEAST_AREA = 0.025
 """Least area [m²] of upward faces that make a level."""
 
@@ -28,8 +30,8 @@ class Shelf:
     headroom: float
 
 
-def find_shelves(mesh: Mesh, *, smallest: float = 0.16) -> list[Shelf]:
-    """Find the free level regions, one a level, that hold a square of `smallest` [m] and are open above or before.
+def find_shelves(mesh: Mesh) -> list[Shelf]:
+    """Find the free level regions, one a level, that hold a square of `SMALLEST` and are open above or before.
 
     A level's cells are free where a ray from `HEADROOM` above comes down on it; below a top, a ray towards -Y, the
     front, must leave the furniture: what lies behind doors is no shelf.
@@ -51,7 +53,7 @@ def find_shelves(mesh: Mesh, *, smallest: float = 0.16) -> list[Shelf]:
         if len(covered):
             ahead = start[covered] - [0, 0, HEADROOM - 0.05]
             flat[covered] = caster.intersects_first(ahead, np.tile([0.0, -1.0, 0.0], (len(ahead), 1))) < 0
-        region = _largest_region(flat.reshape(x.shape), int(np.ceil(smallest / CELL)))
+        region = _largest_region(flat.reshape(x.shape), int(np.ceil(SMALLEST / CELL)))
         if region is None:
             continue
         cells = region.ravel()
@@ -88,7 +90,5 @@ def _largest_region(flat: Mask, side: int) -> Mask | None:
     """Return the largest connected region that holds a square of `side` cells; None where there is none."""
     if not ndimage.binary_erosion(np.pad(flat, 1), np.ones((side, side))).any():
         return None
-    labels, count = ndimage.label(flat)
-    sizes = ndimage.sum_labels(flat, labels, np.arange(1, count + 1))
-    region = labels == 1 + int(np.argmax(sizes))
+    region = largest_region(flat)
     return region if ndimage.binary_erosion(np.pad(region, 1), np.ones((side, side))).any() else None

@@ -12,6 +12,7 @@ from multilight.scenes.cameras.trajectory import CLOSER, SEEN, TrajectoryError, 
 from multilight.scenes.geometry.rays import SceneRays
 from multilight.scenes.poses import box_centre
 from multilight.scenes.spec import Camera
+from multilight.scenes.streams import Rng, pick
 
 # Measures [m], and fractions of a picture.
 HEIGHTS, LOWEST = (0.85, 1.75), 0.3  # of cameras: a seated child's eye to a tall adult's; when moved in on an object
@@ -62,7 +63,7 @@ class Room:
 
 
 def sample_views(
-    rng: np.random.Generator,
+    rng: Rng,
     room: Room,
     *,
     size: tuple[int, int],
@@ -86,10 +87,10 @@ def sample_views(
     if len(good) < LEAST_GOOD:
         raise TrajectoryError(f"only {len(good)} of {len(eyes)} standpoints see every inserted object")
     for attempt in range(WALKS):
-        path = _path(rng, room, good, views, kind if attempt < WALKS * 2 // 3 else "random")
-        if not room.is_free(path.eyes).all():
+        eyes, tightness = _path(rng, room, good, views, kind if attempt < WALKS * 2 // 3 else "random")
+        if not room.is_free(eyes).all():
             continue
-        cameras = _cameras(rng, room, path, size, settings)
+        cameras = _cameras(rng, room, eyes, tightness, size, settings)
         if _shows(room, cameras, settings.min_visible_share):
             if kind in CLOSER:
                 cameras = _moved_in(rng, room, cameras, settings.min_visible_share)
@@ -97,31 +98,26 @@ def sample_views(
     raise TrajectoryError(f"none of {WALKS} {kind} paths shows every inserted object")
 
 
-@dataclass(frozen=True)
-class _Path:
-    """Where cameras stand (views, 3), and for each how tightly it frames what is inserted: 0 not at all, 1 fully."""
+def _path(rng: Rng, room: Room, good: Float64, views: int, kind: TrajectoryKind) -> tuple[Float64, Float64]:
+    """Draw a path of a kind over the good standpoints, which are sorted from near to far.
 
-    eyes: Float64
-    tightness: Float64
-
-
-def _path(rng: np.random.Generator, room: Room, good: Float64, views: int, kind: TrajectoryKind) -> _Path:
-    """Draw a path of a kind over the good standpoints, which are sorted from near to far."""
+    Returns where cameras stand (views, 3), and for each how tightly it frames what is inserted: 0 not at all, 1 fully.
+    """
     match kind:
         case "approach":
             eyes = _walk(rng, good, views)
         case "orbit":
-            return _Path(_arc(rng, room, good, views), np.full(views, rng.uniform(0.4, 1.0)))
+            return _arc(rng, room, good, views), np.full(views, rng.uniform(0.4, 1.0))
         case "handheld":
             spot = good[int(rng.integers(max(1, len(good) * 2 // 3)))]
-            return _Path(spot + 0.04 * _wobble(rng, views), np.full(views, rng.uniform(0.5, 1.0)))
+            return spot + 0.04 * _wobble(rng, views), np.full(views, rng.uniform(0.5, 1.0))
         case "random":
             eyes = good[np.sort(rng.integers(len(good), size=views))[::-1]]
     reach = np.linalg.norm(eyes - room.focus, axis=1)
-    return _Path(eyes, np.clip((reach.max() - reach) / max(np.ptp(reach), 0.3), 0.0, 1.0))
+    return eyes, np.clip((reach.max() - reach) / max(np.ptp(reach), 0.3), 0.0, 1.0)
 
 
-def _walk(rng: np.random.Generator, good: Float64, views: int) -> Float64:
+def _walk(rng: Rng, good: Float64, views: int) -> Float64:
     """Draw a curve (views, 3) from one of the farther standpoints to one of the nearer."""
     near = good[int(rng.integers(0, max(1, len(good) // 4)))]
     far = good[int(rng.integers(len(good) * 2 // 3, len(good)))]
@@ -131,7 +127,7 @@ def _walk(rng: np.random.Generator, good: Float64, views: int) -> Float64:
     return np.asarray(curve + rng.normal(0.0, 0.01, curve.shape))
 
 
-def _arc(rng: np.random.Generator, room: Room, good: Float64, views: int) -> Float64:
+def _arc(rng: Rng, room: Room, good: Float64, views: int) -> Float64:
     """Draw an arc (views, 3) round what is inserted, through one of the standpoints."""
     through = good[int(rng.integers(len(good)))] - room.focus
     sweep = np.radians(rng.uniform(*ARC)) * rng.choice([-1.0, 1.0])
@@ -141,7 +137,7 @@ def _arc(rng: np.random.Generator, room: Room, good: Float64, views: int) -> Flo
     return np.asarray(room.focus + np.stack([reach * np.cos(angle), reach * np.sin(angle), height], axis=-1))
 
 
-def _wobble(rng: np.random.Generator, views: int) -> Float64:
+def _wobble(rng: Rng, views: int) -> Float64:
     """Return the slow unrest of a hand, (views, 3), of about unit size: two sine waves an axis."""
     t = np.linspace(0.0, 1.0, views)[:, None]
     waves = [np.sin(2 * np.pi * (rng.uniform(*c, 3) * t + rng.random(3))) for c in ((0.3, 0.9), (0.9, 2.2))]
@@ -149,18 +145,16 @@ def _wobble(rng: np.random.Generator, views: int) -> Float64:
 
 
 def _cameras(
-    rng: np.random.Generator, room: Room, path: _Path, size: tuple[int, int], settings: CameraSettings
+    rng: Rng, room: Room, eyes: Float64, tightness: Float64, size: tuple[int, int], settings: CameraSettings
 ) -> tuple[Camera, ...]:
     """Point cameras at what is inserted: wide where a path is loose, so that the room shows, else tighter."""
     points = np.concatenate(list(room.watched.values()))
     shortest, longest = settings.lens_mm
     wide = float(rng.uniform(shortest, min(1.33 * shortest, longest)))
     full = rng.uniform(0.7, 0.9)
-    unrest = 0.02 * (
-        rng.normal(0.0, 1.0, (len(path.eyes), 3)) if np.ptp(path.tightness) else _wobble(rng, len(path.eyes))
-    )
+    unrest = rng.normal(0.0, 1.0, eyes.shape) if np.ptp(tightness) else _wobble(rng, len(eyes))
     cameras = []
-    for eye, tight, shift in zip(path.eyes, path.tightness, unrest, strict=True):
+    for eye, tight, shift in zip(eyes, tightness, 0.02 * unrest, strict=True):
         factors, height = TOWARDS_ROOM
         towards = room.focus * factors + [0.0, 0.0, height]
         aim = (1 - tight) * towards + tight * room.focus + shift * np.linalg.norm(room.focus - eye)
@@ -176,9 +170,9 @@ def _cameras(
     return tuple(cameras)
 
 
-def _moved_in(rng: np.random.Generator, room: Room, cameras: tuple[Camera, ...], fraction: float) -> tuple[Camera, ...]:
+def _moved_in(rng: Rng, room: Room, cameras: tuple[Camera, ...], fraction: float) -> tuple[Camera, ...]:
     """Let the last cameras of a path move in on one object, where the others still show everything."""
-    body = sorted(room.watched)[int(rng.integers(len(room.watched)))]
+    body = pick(rng, sorted(room.watched))
     points = room.watched[body]
 
     def is_good(camera: Camera) -> bool:

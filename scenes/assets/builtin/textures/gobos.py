@@ -10,8 +10,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from multilight.scenes.arrays import Float64, UInt8
-from multilight.scenes.assets.builtin.textures.patterns import Rng, noise
-from multilight.scenes.streams import generator_of
+from multilight.scenes.assets.builtin.textures.patterns import noise
+from multilight.scenes.streams import Rng, generator_of
 
 RESOLUTION = 512
 _EDGE = 0.004

@@ -8,17 +8,21 @@ from PIL import Image, ImageDraw
 from scipy.ndimage import gaussian_filter
 
 from multilight.scenes.arrays import Float64
-from multilight.scenes.assets.builtin.textures.patterns import Colour, Rng, axes, cells, noise, ramp, step
+from multilight.scenes.assets.builtin.textures.patterns import Colour, axes, cells, noise, ramp, step
+from multilight.scenes.streams import Rng
+
+BLADES = 20000
+"""Blades of grass on a tile of lawn."""
 
 
-def lawn(rng: Rng, n: int, *, colours: tuple[Colour, ...], blades: int = 20000) -> tuple[Float64, Float64]:
+def lawn(rng: Rng, n: int, *, colours: tuple[Colour, ...]) -> tuple[Float64, Float64]:
     """Strew blades of grass seen from above, later ones over earlier and lighter, with drier patches."""
     canvas = Image.new("RGB", (n, n), tuple(int(180 * c) for c in colours[0]))
     relief = Image.new("L", (n, n), 0)
     pen, deep = ImageDraw.Draw(canvas), ImageDraw.Draw(relief)
     patch = noise(rng, n, scale=(3, 3), rough=1.2)
-    for i in range(blades):
-        level = i / blades
+    for i in range(BLADES):
+        level = i / BLADES
         x, y = rng.uniform(0, n, 2)
         angle, length = rng.uniform(0, 2 * np.pi), n * rng.uniform(0.015, 0.05)
         dry = 0.12 * patch[int(y) % n, int(x) % n]

@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 
 from multilight.scenes.arrays import Float64, Int64
 from multilight.scenes.numbers import smoothstep
+from multilight.scenes.streams import Rng
 
-Rng = np.random.Generator
 Colour = tuple[float, float, float]
 
 
@@ -139,9 +139,8 @@ def weave(rng: Rng, n: int, *, across: Colour, along: Colour, threads: int) -> t
     top = np.where(over == 0, weft, warp_)
     hue_row = 1 + 0.10 * rng.standard_normal(threads)[np.floor(row).astype(int) % threads]
     hue_column = 1 + 0.10 * rng.standard_normal(threads)[np.floor(column).astype(int) % threads]
-    colour = np.where(
-        (over == 0)[..., None], np.array(across) * hue_row[..., None], np.array(along) * hue_column[..., None]
-    )
+    weft_colour, warp_colour = np.array(across) * hue_row[..., None], np.array(along) * hue_column[..., None]
+    colour = np.where((over == 0)[..., None], weft_colour, warp_colour)
     fuzz = 0.05 * noise(rng, n, scale=(threads * 3, threads * 3), rough=0.3)
     return np.clip(colour * (0.45 + 0.55 * top + fuzz)[..., None], 0, 1), 2.5e-4 * top
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from multilight.scenes.assets.builtin.textures.patterns import Rng, noise, ramp
-from multilight.scenes.streams import generator_of, pick
+from multilight.scenes.assets.builtin.textures.patterns import noise, ramp
+from multilight.scenes.streams import Rng, generator_of, pick
 
 Ink = tuple[int, int, int]
 
@@ -29,14 +29,13 @@ def _words(rng: Rng, count: int) -> str:
     return " ".join("".join(rng.choice(parts, int(rng.integers(1, 4)))) for _ in range(count))
 
 
-def _paper(rng: Rng, size: tuple[int, int]) -> tuple[Image.Image, ImageDraw.ImageDraw, Ink, Ink, Ink]:
-    """Start an interface in light or dark mode: picture, pen, colours of ground, card and ink."""
-    light = rng.random() < 0.6
+def _paper(rng: Rng, size: tuple[int, int]) -> tuple[Image.Image, ImageDraw.ImageDraw, Ink, Ink]:
+    """Start an interface in light or dark mode: picture, pen, colours of card and ink."""
     ground, card, ink = ((242, 243, 246), (255, 255, 255), (34, 36, 42))
-    if not light:
+    if rng.random() >= 0.6:
         ground, card, ink = ((16, 18, 24), (34, 37, 46), (228, 230, 236))
     image = Image.new("RGB", size, ground)
-    return image, ImageDraw.Draw(image), ground, card, ink
+    return image, ImageDraw.Draw(image), card, ink
 
 
 def _font(size: float) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
@@ -45,7 +44,7 @@ def _font(size: float) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
 
 def interface(rng: Rng, size: tuple[int, int]) -> Image.Image:
     """Draw an app: a bar, a banner picture, cards with text and a round button."""
-    image, pen, _, card, ink = _paper(rng, size)
+    image, pen, card, ink = _paper(rng, size)
     w, h = size
     unit, accent = min(w, h) / 24, pick(rng, _ACCENTS)
     pen.rectangle((0, 0, w, 3 * unit), fill=accent)
@@ -82,16 +81,15 @@ def icons(rng: Rng, size: tuple[int, int]) -> Image.Image:
 
 def chat(rng: Rng, size: tuple[int, int]) -> Image.Image:
     """Draw a conversation in bubbles."""
-    image, pen, _, card, ink = _paper(rng, size)
+    image, pen, card, ink = _paper(rng, size)
     w, h = size
     unit, accent, top = min(w, h) / 22, pick(rng, _ACCENTS), 0.0
     while top < h:
         mine, length = rng.random() < 0.5, float(rng.uniform(0.35, 0.7)) * w
         lines = int(rng.integers(1, 4))
         left = w - unit - length if mine else unit
-        pen.rounded_rectangle(
-            (left, top + unit, left + length, top + (1.6 + 1.5 * lines) * unit), unit, fill=accent if mine else card
-        )
+        bubble = (left, top + unit, left + length, top + (1.6 + 1.5 * lines) * unit)
+        pen.rounded_rectangle(bubble, unit, fill=accent if mine else card)
         for line in range(lines):
             place = (left + 0.8 * unit, top + (1.3 + 1.5 * line) * unit)
             words = _words(rng, max(1, int(length / unit / 4)))
@@ -102,7 +100,7 @@ def chat(rng: Rng, size: tuple[int, int]) -> Image.Image:
 
 def dashboard(rng: Rng, size: tuple[int, int]) -> Image.Image:
     """Draw charts: columns, a line and figures."""
-    image, pen, _, card, ink = _paper(rng, size)
+    image, pen, card, ink = _paper(rng, size)
     w, h = size
     unit = min(w, h) / 24
     for i, (x, y) in enumerate((x, y) for y in (0.04, 0.52) for x in (0.03, 0.51)):
@@ -134,9 +132,8 @@ def editor(rng: Rng, size: tuple[int, int]) -> Image.Image:
         pen.text((0.02 * w, y), _words(rng, 1), fill=(150, 155, 165), font=_font(0.8 * step))
         for _ in range(int(rng.integers(0, 5))):
             word = _words(rng, 1)
-            pen.text(
-                (x, y), word, fill=pick(rng, _ACCENTS) if rng.random() < 0.6 else (205, 208, 215), font=_font(step)
-            )
+            ink = pick(rng, _ACCENTS) if rng.random() < 0.6 else (205, 208, 215)
+            pen.text((x, y), word, fill=ink, font=_font(step))
             x += (len(word) + 1) * 0.55 * step
         indent = int(np.clip(indent + rng.integers(-1, 2), 0, 4))
     return image

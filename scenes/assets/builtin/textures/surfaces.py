@@ -13,7 +13,6 @@ from scipy.ndimage import gaussian_filter
 from multilight.scenes.arrays import Float64, UInt8
 from multilight.scenes.assets.builtin.textures.grounds import asphalt, gravel, lawn, paving, sand, setts
 from multilight.scenes.assets.builtin.textures.patterns import (
-    Rng,
     brushed,
     checked,
     cork,
@@ -29,7 +28,7 @@ from multilight.scenes.assets.builtin.textures.patterns import (
     wood,
 )
 from multilight.scenes.assets.derived_maps import roughness_map
-from multilight.scenes.streams import generator_of
+from multilight.scenes.streams import Rng, generator_of
 
 RESOLUTION = 1024
 
