@@ -77,6 +77,8 @@ class DatasetConfig(Settings):
     """Fewest and most objects of the still life."""
     piles: UnitFloat = 0.1
     """Probability of a pile on a tabletop: a bowl of fruit, a stack of books or crockery, a heap of toys."""
+    wild: bool = False
+    """Lamps and conditions in saturated colours too, alone as well; else light as people photograph it."""
     lights: tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(le=8)]] = (1, 8)
     """Fewest and most lights of a rig; what glows counts."""
     cameras: CameraSettings = CameraSettings()

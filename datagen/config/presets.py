@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any, Literal
 
-Preset = Literal["tabletop", "room", "outdoor", "studio", "mixed", "smoke"]
+Preset = Literal["tabletop", "room", "outdoor", "studio", "mixed", "wild", "demo", "smoke"]
 
 
 @dataclass(frozen=True)
@@ -14,6 +14,13 @@ class PresetValues:
     values: dict[str, Any]
 
 
+_MIXED: dict[str, Any] = {
+    "kind": "mixed",
+    "kinds": {"tabletop": 0.4, "room": 0.4, "outdoor": 0.0, "studio": 0.2},
+    "ood_kinds": ("outdoor",),
+    "splits": {"train": 0.75, "val": 0.08, "test": 0.09, "test_ood": 0.08},
+    "cameras": {"depth_of_field": 0.15},
+}
 PRESETS: dict[Preset, PresetValues] = {
     "tabletop": PresetValues("still lifes on tables", {"kind": "tabletop"}),
     "room": PresetValues(
@@ -30,11 +37,18 @@ PRESETS: dict[Preset, PresetValues] = {
     ),
     "mixed": PresetValues(
         "all kinds; open ground is held out for the out-of-domain test",
+        _MIXED,
+    ),
+    "wild": PresetValues("as mixed, with lamps and conditions in saturated colours", _MIXED | {"wild": True}),
+    "demo": PresetValues(
+        "a small set on which every command runs: all kinds and splits; `make dataset` makes it",
         {
+            "seed": 0,
+            "scenes": 8,
+            "views": 6,
             "kind": "mixed",
-            "kinds": {"tabletop": 0.4, "room": 0.4, "outdoor": 0.0, "studio": 0.2},
-            "ood_kinds": ("outdoor",),
-            "splits": {"train": 0.75, "val": 0.08, "test": 0.09, "test_ood": 0.08},
+            "kinds": {"tabletop": 0.4, "room": 0.3, "outdoor": 0.1, "studio": 0.2},
+            "splits": {"train": 0.5, "val": 0.15, "test": 0.2, "test_ood": 0.15},
             "cameras": {"depth_of_field": 0.15},
         },
     ),

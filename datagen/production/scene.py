@@ -19,6 +19,7 @@ from multilight.datagen.tuples.exposure import meter_condition, thumbnail
 from multilight.datagen.tuples.sheet import save_preview
 from multilight.datagen.verification.views import Fault, brightness, verify_exposure, verify_pair, verify_rendered
 from multilight.lights.conditions import sample_conditions
+from multilight.lights.rigs.natural import natural_rig
 from multilight.lights.rigs.sample import SPHERES_KINDS, sample_rig
 from multilight.lights.spec import EmissiveLight, EnvironmentLight, LightRig
 from multilight.scenes.assets.library import AssetError, AssetLibrary
@@ -75,6 +76,11 @@ def sample_scene(config: DatasetConfig, library: AssetLibrary, streams: Streams)
 
     Only assets of the scene's split are drawn. Raises `UserError` where no sampler makes that kind of scene.
     """
+    scene, rig = _sampled(config, library, streams)
+    return scene, rig if config.wild or config.kind == "imported" else natural_rig(rig)
+
+
+def _sampled(config: DatasetConfig, library: AssetLibrary, streams: Streams) -> tuple[SceneSpec, LightRig]:
     kind = config.kind_of(streams.scene)
     if kind == "spheres":
         scene = sample_spheres(
@@ -211,7 +217,7 @@ def _draw(maker: SceneMaker, streams: Streams) -> SceneRecord:
         scene_sha256=scene.sha256(),
         rig=rig,
         rig_sha256=rig.sha256(),
-        conditions=sample_conditions(streams("conditions"), rig, maker.config.conditions),
+        conditions=sample_conditions(streams("conditions"), rig, maker.config.conditions, wild=maker.config.wild),
         views=(),
         assets=credits_of(scene, rig, maker.library),
     )

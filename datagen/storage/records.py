@@ -53,6 +53,9 @@ class Schema(Frozen):
             )
         if info.mode == "json" and version != GHOSTS and data.get("record_sha256") != record_hash(data):
             raise ValueError("it was changed: it is not what its own hash (record_sha256) says")
+        config = data.get("config")
+        if info.mode == "json" and isinstance(config, dict) and "wild" not in config:  # of version 0.2.0 and before
+            data = data | {"config": config | {"wild": True}}
         return data
 
 

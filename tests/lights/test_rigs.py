@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from multilight.lights.conditions import EXPOSURE, random_condition, sample_conditions
+from multilight.lights.photometry.colour import temperature_of, temperature_to_rgb
 from multilight.lights.photometry.irradiance import LightMeter, map_directions
 from multilight.lights.rigs.balance import FAINTEST
 from multilight.lights.rigs.daylight import overcast, sun_and_sky
 from multilight.lights.rigs.design import RATIOS, SIZES, RigDesign, rig_design
 from multilight.lights.rigs.measure import LightMeasure, measure_light
+from multilight.lights.rigs.natural import natural_rig
 from multilight.lights.rigs.sample import ALL_KINDS, SPHERES_KINDS, sample_rig
 from multilight.lights.spec import (
     AreaLight,
@@ -25,6 +27,7 @@ from multilight.lights.spec import (
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.cameras.pinhole import look_at
 from multilight.scenes.colour import luminance
+from multilight.scenes.frozen import triple
 from multilight.scenes.kinds.spheres import sample_spheres
 from multilight.scenes.kinds.tabletop import sample_tabletop
 from multilight.scenes.poses import matrix4
@@ -321,9 +324,11 @@ def test_sun_and_sky_keep_their_true_strengths(spheres: LightMeter) -> None:
     assert 10_000 < cloudy < 14_000
 
 
-def test_conditions(lit: list[tuple[SceneSpec, LightRig]]) -> None:
+@pytest.mark.parametrize("wild", [False, True])
+def test_conditions(lit: list[tuple[SceneSpec, LightRig]], wild: bool) -> None:
     for i, (_, rig) in enumerate(lit):
-        conditions = sample_conditions(np.random.default_rng(i), rig)
+        rig = rig if wild else natural_rig(rig)
+        conditions = sample_conditions(np.random.default_rng(i), rig, wild=wild)
         assert len(conditions) == 12
         assert len({c.name for c in conditions}) == 12
         assert len({c.model_copy(update={"name": "x"}).canonical_json() for c in conditions}) == 12
@@ -331,13 +336,48 @@ def test_conditions(lit: list[tuple[SceneSpec, LightRig]]) -> None:
         assert everything.name == "all"
         assert everything.gains == dict.fromkeys(rig.names, (1.0, 1.0, 1.0))
         assert everything.exposure_ev == 0.0
-        for name in rig.names:
-            alone = next(c for c in conditions if c.name == f"{name}_only")
-            assert set(alone.gains) == {name}
+        for light in rig.lights if len(rig.lights) > 1 else ():
+            alone = [set(c.gains) for c in conditions if c.name == f"{light.name}_only"]
+            assert alone == ([{light.name}] if wild or light.gel is None else [])
         for condition in conditions:
             assert set(condition.gains) <= set(rig.names)
             assert abs(condition.exposure_ev) <= EXPOSURE
             assert LightingCondition.from_json(condition.canonical_json()) == condition
+
+
+def test_natural_rigs_are_white_and_as_bright(lit: list[tuple[SceneSpec, LightRig]]) -> None:
+    assert any(light.gel for _, rig in lit for light in rig.lights if not isinstance(light, EmissiveLight))
+    for _, rig in lit:
+        for old, new in zip(rig.lights, natural_rig(rig).lights, strict=True):
+            assert new.name == old.name
+            assert new.grey == pytest.approx(old.grey)
+            if isinstance(old, EmissiveLight):
+                assert new == old
+            elif old.colour_temperature is not None:
+                kelvin, distance = temperature_of(new.amount)
+                assert new.gel is None
+                assert 2450 <= kelvin <= 8100
+                assert distance < 0.003
+
+
+def test_conditions_are_white_and_gels_rare_unless_wild() -> None:
+    places = [(float(i), 0.0, 1.0) for i in range(3)]
+    rig = LightRig(lights=tuple(
+        PointLight(name=f"p{i}", position=place, intensity=temperature_to_rgb(t), colour_temperature=t)
+        for i, (place, t) in enumerate(zip(places, (2600.0, 5000.0, 7500.0), strict=True))
+    ))  # fmt: skip
+    tinted = {False: 0, True: 0}
+    for seed in range(200):
+        for wild in tinted:
+            for condition in sample_conditions(np.random.default_rng(seed), rig, wild=wild)[1:]:
+                amounts = [np.multiply(light.amount, condition.gains[light.name]) for light in rig.lights
+                           if light.name in condition.gains]  # fmt: skip
+                colours = [temperature_of(triple(amount)) for amount in amounts]
+                coloured = any(off > 0.008 or not 2400 <= kelvin <= 8300 for kelvin, off in colours)
+                tinted[wild] += coloured
+                assert wild or not (coloured and len(condition.gains) == 1)
+    assert 0.02 < tinted[False] / 2200 < 1 / 12
+    assert tinted[True] / 2200 > 0.2
 
 
 def test_conditions_of_one_light_and_few_conditions() -> None:
