@@ -9,7 +9,7 @@ from multilight.datagen.errors import UserError
 from multilight.datagen.export.captures.points import ScenePoints, scene_points
 from multilight.datagen.export.images import depth_mm, png, to_byte
 from multilight.datagen.storage.copies import Report, making
-from multilight.datagen.storage.manifest import scene_part
+from multilight.datagen.storage.manifest import Settings, scene_part
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.source import DatasetSource
 from multilight.datagen.tuples import compose
@@ -60,7 +60,8 @@ def export_captures(
     if points < 1:
         raise UserError(f"--points {points} must be 1 or more")
     written = 0
-    with making(out, kind, source, {"points": points}) as copy:
+    settings: Settings = {"points": points} | ({} if conditions is None else {"conditions": conditions})
+    with making(out, kind, source, settings) as copy:
         for done, record in enumerate(source.scenes()):
             chosen = record.conditions[:conditions]
             scene = f"scene_{record.index:06d}"

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from multilight.datagen.errors import StoreError
 from multilight.datagen.export.dtc import maps2d, maps3d
 from multilight.datagen.export.dtc.request import DtcExport
 from multilight.datagen.export.dtc.scene import Frame, Geometry, Lighting, survey
@@ -64,7 +65,7 @@ class Choice:
 
 
 def export_scene(job: Job) -> dict[str, dict[str, FileEntry]]:
-    """Write one scene; returns the files of each folder. Raises `StoreError` naming a file that cannot be read."""
+    """Write one scene; returns the files of each folder. Raises `StoreError` where it cannot be read, or is empty."""
     request = job.request
     source = open_dataset(request.address)
     record = source.scene(job.index)
@@ -95,7 +96,10 @@ def choose(record: SceneRecord, conditions: Sequence[LightingCondition], exposur
 
 def _gaussians(scene: _Scene, side: int) -> SceneGaussians:
     spec = scene.record.scene
-    return maps3d.make_gaussians(scene.geometry, [spec.instance_id(name) for name in spec.insertable], side)
+    try:
+        return maps3d.make_gaussians(scene.geometry, [spec.instance_id(name) for name in spec.insertable], side)
+    except ValueError as error:
+        raise StoreError(f"scene {spec.index}: {error}") from None
 
 
 def _training(

@@ -8,8 +8,8 @@ mix = background + the sum over lights of (power * color of the mix / power * co
 
 import tempfile
 from collections.abc import Callable
-from contextlib import ExitStack
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -89,22 +89,14 @@ def _write_tars(source: DatasetSource, copy: Copy, report: Report) -> LuxremixOu
     wanted = {f"{r.index:06d}": scene_part(source, r.index) for r in source.scenes() if draw_passes(r).lights}
     if copy.holds(wanted):
         return _each(source, lambda record, passes, part: None, report)
-    parts: dict[str, ScenePart] = {}
-    with copy.filling() as folder, ExitStack() as open_shards:
-        shards = {
-            split: TarShards(folder, split, most_bytes=1 << 62, most_groups=SCENES_A_TAR, digits=4)
-            for split in ("training", "test")
-        }
-        for writer in shards.values():
-            open_shards.callback(writer.close)
+    shards = partial(TarShards, most_bytes=1 << 62, most_groups=SCENES_A_TAR, digits=4)
+    with copy.filling() as (folder, parts), shards(folder) as tars:
 
         def write(record: SceneRecord, passes: Passes, part: ScenePart) -> None:
-            shards["training" if record.split == "train" else "test"].add(_packed(source, record, passes))
+            tars.add("training" if record.split == "train" else "test", _packed(source, record, passes))
             parts[f"{record.index:06d}"] = part
 
-        outcome = _each(source, write, report)
-    copy.finish(*(name for writer in shards.values() for name, _ in writer.shards), parts=parts)
-    return outcome
+        return _each(source, write, report)
 
 
 def _packed(source: DatasetSource, record: SceneRecord, passes: Passes) -> Files:
