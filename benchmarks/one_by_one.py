@@ -5,7 +5,7 @@ from typing import Any, Protocol
 import bpy
 import numpy as np
 
-from multilight.datagen.backends.blender.backend import BlenderBackend, _hidden
+from multilight.datagen.backends.blender.backend import BlenderBackend, hidden
 from multilight.datagen.backends.blender.film import beauty_filter, render_passes
 from multilight.datagen.backends.blender.scene import place_camera
 from multilight.datagen.backends.protocol import RenderJob, RenderSettings
@@ -49,11 +49,10 @@ class OneByOne:
 
     def load(self, case: Case, condition: LightingCondition, spp: int) -> None:
         """Put the scene into Blender, with the condition's lights."""
-        if self._loaded == (condition, spp) and self._backend._synced is self._synced:
+        if self._loaded == (condition, spp) and self._backend.synced is self._synced:
             return
         job = RenderJob(case.scene, relit(case.rig, condition), RenderSettings(spp=spp), case.options.view)
-        self._synced = self._backend._sync(job)
-        self._backend._key = None  # what follows is not what its next job may find
+        self._synced = self._backend.sync(job, keep=False)  # what follows is not what its next job may find
         scene = bpy.context.scene
         groups = scene.view_layers[0].lightgroups
         for group in list(groups):
@@ -72,5 +71,5 @@ class OneByOne:
         self.load(case, condition, spp)
         if without is None:
             return np.ascontiguousarray(render_passes()["Combined"][..., :3])
-        with _hidden(self._synced, without):
+        with hidden(self._synced, without):
             return np.ascontiguousarray(render_passes()["Combined"][..., :3])
