@@ -2,9 +2,8 @@
 
     with making(out, "usd", source, {}) as copy:
         for record in source.scenes():
-            part = scene_part(source, record.index)
-            if not copy.keeps("scene_000000", part):
-                with copy.filling_part("scene_000000", part) as folder:
+            if not copy.keeps("scene_000000", record.index):
+                with copy.filling_part("scene_000000", record.index) as folder:
                     ...
 
 What was stopped goes on where it was: each part is written down as it is done. What is damaged, or made from another
@@ -15,7 +14,7 @@ import contextlib
 import importlib.metadata
 import shutil
 import uuid
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
@@ -39,6 +38,7 @@ from multilight.datagen.storage.manifest import (
     hashed,
     origin_of,
     parse_manifest,
+    scene_part,
     size_fault,
     write_manifest,
 )
@@ -83,9 +83,10 @@ def files_of(root: Path, name: str) -> dict[str, FileEntry]:
 class Copy:
     """A copy in the making. `changed` says whether anything was made in this run."""
 
-    def __init__(self, root: Path, head: Manifest, begun: Manifest) -> None:
+    def __init__(self, root: Path, source: DatasetSource, head: Manifest, begun: Manifest) -> None:
         """Take up what is recorded in `begun`, of earlier runs; `head` is the manifest to be, yet without files."""
-        self.root, self._head, self._begun, self.changed = root, head, begun, False
+        self.root, self._source, self._head, self._begun, self.changed = root, source, head, begun, False
+        self._states: dict[int, ScenePart] = {}
         self._parts = dict(begun.parts)
         self._files: dict[str, dict[str, FileEntry]] = {name: {} for name in self._parts}
         for name, entry in begun.files.items():
@@ -99,33 +100,41 @@ class Copy:
         """What is recorded already, of earlier runs as well."""
         return self._parts
 
-    def keeps(self, name: str, part: ScenePart) -> bool:
+    def state(self, scene: int) -> ScenePart:
+        """Say in which state a scene was when it was asked for first; raises `StoreError` where it is missing."""
+        if scene not in self._states:
+            self._states[scene] = scene_part(self._source, scene)
+        return self._states[scene]
+
+    def keeps(self, name: str, scene: int) -> bool:
         """Say whether a folder is there, made from this very state of its scene, and as it was written, to the byte."""
         files, folder = self._files.get(name, {}), self.root / name
-        if self._parts.get(name) != part or not folder.is_dir():
+        if self._parts.get(name) != self.state(scene) or not folder.is_dir():
             return False
         found = {f"{name}/{file}": size for file, size in files_under(folder).items()}
         return not any(size_fault(files, found)) and dict(hashed(self.root, files)) == files
 
     @contextlib.contextmanager
-    def filling_part(self, name: str, part: ScenePart) -> Iterator[Path]:
+    def filling_part(self, name: str, scene: int) -> Iterator[Path]:
         """Lend an empty folder for what is made of a scene; at the end it gets its name, and is recorded."""
+        self.state(scene)
         with whole_folder(self.root, name) as folder:
             yield folder
-        self.add(name, part, files_of(self.root, name))
+        self.add(name, scene, files_of(self.root, name))
 
-    def add(self, name: str, part: ScenePart, files: Files) -> None:
+    def add(self, name: str, scene: int, files: Files) -> None:
         """Record a folder that is made, so that it is kept from now on."""
         if not self.changed:
             self.reopen()
-        self._parts[name], self._files[name] = part, dict(files)
+        self._parts[name], self._files[name] = self.state(scene), dict(files)
         self._append(name)
 
-    def holds(self, parts: Mapping[str, ScenePart]) -> bool:
+    def holds(self, scenes: Iterable[int]) -> bool:
         """Say whether a finished copy that was made in one piece is that of these scenes, and as it was written.
 
         Raises `UserError` where it is of others.
         """
+        parts = {f"{scene:06d}": self.state(scene) for scene in scenes}
         if not self._begun.parts:
             return False
         if self._parts != parts:
@@ -135,21 +144,21 @@ class Copy:
         return dict(hashed(self.root, wanted)) == self._begun.files
 
     @contextlib.contextmanager
-    def filling(self) -> Iterator[tuple[Path, dict[str, ScenePart]]]:
-        """Lend an empty folder for a copy that is made in one piece, and a record of what goes in, to be kept.
+    def filling(self) -> Iterator[tuple[Path, list[int]]]:
+        """Lend an empty folder for a copy that is made in one piece, and a list for the scenes that go in.
 
         At the end its files go to the root, and the copy is finished.
         """
         work = self.root / WORK / "all"
         work.mkdir(parents=True)
-        parts: dict[str, ScenePart] = {}
-        yield work, parts
+        scenes: list[int] = []
+        yield work, scenes
         self._parts, self._files = {}, {}
         self.reopen()
         for old in self._begun.files:
             (self.root / old).unlink(missing_ok=True)
         made = [path.replace(self.root / path.name).name for path in sorted(work.iterdir())]
-        self._parts = parts
+        self._parts = {f"{scene:06d}": self.state(scene) for scene in scenes}
         self.finish(*made)
 
     def finish(self, *others: str) -> None:
@@ -201,7 +210,7 @@ def making(root: Path, kind: Kind, source: DatasetSource, settings: Settings) ->
         else:
             _check_same(root, begun, head, source.indices)
             shutil.rmtree(root / WORK, ignore_errors=True)
-        copy = Copy(root, head, begun or head)
+        copy = Copy(root, source, head, begun or head)
         if begun is None:
             copy.reopen()
         try:

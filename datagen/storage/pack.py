@@ -16,7 +16,7 @@ import polars as pl
 from multilight.datagen.errors import StoreError, UserError
 from multilight.datagen.storage.copies import Copy, Report, files_of, in_processes, making, whole_folder
 from multilight.datagen.storage.index import index_bytes
-from multilight.datagen.storage.manifest import FileEntry, scene_part
+from multilight.datagen.storage.manifest import FileEntry
 from multilight.datagen.storage.packed import PackedView, pack_view, read_packed, value_fault, write_packed
 from multilight.datagen.storage.source import DatasetSource, open_dataset
 from multilight.datagen.storage.store import ViewData, scene_folder
@@ -45,12 +45,11 @@ def pack_dataset(address: str, out: Path, *, workers: int, report: Report) -> Pa
     if source.place.exists(VISIBLE):
         raise UserError(f"{address} is a packed dataset already")
     with making(out, "packed", source, {}) as copy:
-        parts = {index: scene_part(source, index) for index in source.indices}
-        missing = [index for index, part in parts.items() if not copy.keeps(scene_folder(index), part)]
+        missing = [index for index in source.indices if not copy.keeps(scene_folder(index), index)]
         report(0, len(missing))
         packing = in_processes(partial(pack_scene, address, out), missing, workers)
         for done, (index, files) in enumerate(packing, 1):
-            copy.add(scene_folder(index), parts[index], files())
+            copy.add(scene_folder(index), index, files())
             report(done, len(missing))
         return _finish(source, copy, len(missing))
 

@@ -5,12 +5,9 @@ from pathlib import Path
 from multilight.datagen.errors import UserError
 from multilight.datagen.production.library import open_library
 from multilight.datagen.storage.copies import Report, making
-from multilight.datagen.storage.manifest import scene_part
-from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.source import DatasetSource
 from multilight.datagen.usd.check import stage_faults
 from multilight.datagen.usd.stage import STAGE, write_stage
-from multilight.scenes.assets.library import AssetLibrary
 
 
 def export_usd(
@@ -30,18 +27,12 @@ def export_usd(
     with making(out, "usd", source, {}) as copy:
         for done, record in enumerate(records):
             report(done, total)
-            name, part = f"scene_{record.index:06d}", scene_part(source, record.index)
-            if not copy.keeps(name, part):
-                with copy.filling_part(name, part) as folder:
-                    _write(record, library, folder)
+            name = f"scene_{record.index:06d}"
+            if not copy.keeps(name, record.index):
+                with copy.filling_part(name, record.index) as folder:
+                    if faults := stage_faults(write_stage(record, library, folder)):
+                        raise UserError(f"scene {record.index}: its stage does not pass USD's validators: {faults[0]}")
             made.append(out / name / STAGE)
         copy.finish()
     report(total, total)
     return made
-
-
-def _write(record: SceneRecord, library: AssetLibrary, folder: Path) -> None:
-    """Write one scene and check it."""
-    path = write_stage(record, library, folder)
-    if faults := stage_faults(path):
-        raise UserError(f"scene {record.index}: its stage does not pass USD's validators: {faults[0]}")

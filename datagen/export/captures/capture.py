@@ -9,7 +9,7 @@ from multilight.datagen.errors import UserError
 from multilight.datagen.export.captures.points import ScenePoints, scene_points
 from multilight.datagen.export.images import depth_mm, png, to_byte
 from multilight.datagen.storage.copies import Report, making
-from multilight.datagen.storage.manifest import Settings, scene_part
+from multilight.datagen.storage.manifest import Settings
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.source import DatasetSource
 from multilight.datagen.tuples import compose
@@ -66,10 +66,9 @@ def export_captures(
             chosen = record.conditions[:conditions]
             scene = f"scene_{record.index:06d}"
             with source.passing_over(record.index):
-                part = scene_part(source, record.index)
-                missing = [lit for lit in chosen if not copy.keeps(f"{scene}/{lit.name}", part)]
+                missing = [lit for lit in chosen if not copy.keeps(f"{scene}/{lit.name}", record.index)]
                 for capture in _captures(source, record, missing, points):
-                    with copy.filling_part(f"{scene}/{capture.condition.name}", part) as folder:
+                    with copy.filling_part(f"{scene}/{capture.condition.name}", record.index) as folder:
                         write(capture, folder)
                 written += len(chosen)
             report(done + 1, len(source.indices))

@@ -17,7 +17,6 @@ from multilight.datagen.export.dtc.request import DtcExport
 from multilight.datagen.export.dtc.scene import Frame
 from multilight.datagen.export.dtc.work import Job, export_scene
 from multilight.datagen.storage.copies import Copy, Report, in_processes, making
-from multilight.datagen.storage.manifest import ScenePart, scene_part
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.source import open_dataset
 from multilight.datagen.storage.store import write_text
@@ -54,8 +53,7 @@ def export_dtc(request: DtcExport, report: Report) -> DtcOutcome:
         _check(request, records)
     settings = {key: getattr(request, key) for key in ("conditions", "exposures", "size", "map_size")}
     with making(request.out, "dtc-multilight", source, settings) as copy:
-        parts = {record.index: scene_part(source, record.index) for record in records}
-        jobs = [_job(request, record, copy, parts[record.index]) for record in records]
+        jobs = [_job(request, record, copy) for record in records]
         missing = [job for job in jobs if job.flat or job.maps]
         done, total = 0, sum(job.views for job in missing)
         workers = min(request.workers or len(os.sched_getaffinity(0)), max(len(missing), 1))
@@ -63,7 +61,7 @@ def export_dtc(request: DtcExport, report: Report) -> DtcOutcome:
         for job, made in in_processes(export_scene, missing, workers):
             with source.passing_over(job.index):
                 for folder, files in made().items():
-                    copy.add(folder, parts[job.index], files)
+                    copy.add(folder, job.index, files)
                 written += 1
             done += job.views
             report(done, total)
@@ -108,10 +106,10 @@ def _check(request: DtcExport, records: Sequence[SceneRecord]) -> None:
             raise UserError(f"scene {record.index} of {request.address} has no insertable object to composite")
 
 
-def _job(request: DtcExport, record: SceneRecord, copy: Copy, part: ScenePart) -> Job:
+def _job(request: DtcExport, record: SceneRecord, copy: Copy) -> Job:
     """Plan what is missing of a scene."""
     folders = {kind[:2]: f"{ROOTS[kind]}/{scene_name(record.index)}" for kind in _kinds(record, request)}
-    missing = {dimension: folder for dimension, folder in folders.items() if not copy.keeps(folder, part)}
+    missing = {dimension: folder for dimension, folder in folders.items() if not copy.keeps(folder, record.index)}
     return Job(request, record.index, len(record.views), record.split != "train", missing.get("2d"), missing.get("3d"))
 
 

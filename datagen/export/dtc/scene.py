@@ -78,16 +78,9 @@ class Frame:
         return np.floor(centres / self._scale()[axis]).astype(np.int64)
 
     def _resized(self, camera: Camera, centre: tuple[float, float]) -> Camera:
-        down, across = self._scale()
-        return Camera(
-            width=self.size,
-            height=self.size,
-            fx=camera.fx * across,
-            fy=camera.fy * down,
-            cx=centre[0],
-            cy=centre[1],
-            c2w=camera.c2w,
-        )
+        (down, across), (cx, cy) = self._scale(), centre
+        inner = {"fx": camera.fx * across, "fy": camera.fy * down, "cx": cx, "cy": cy}
+        return Camera(width=self.size, height=self.size, **inner, c2w=camera.c2w)
 
 
 @dataclass(frozen=True)
@@ -132,7 +125,7 @@ def survey(
 ) -> tuple[tuple[Lighting, ...], Geometry]:
     """Read all views once: meter each condition as published, and gather the geometry."""
     metered: list[list[ViewMetering]] = [[] for _ in conditions]
-    buffers: dict[str, list[NDArray[np.generic]]] = {"z": [], "id": [], "normal": [], "mask": []}
+    buffers: dict[str, list[NDArray[np.generic]]] = {"z_depth": [], "instance_id": [], "normal_world": [], "masks": []}
     farthest = 0.0
     for view in source.views(record):
         geometry = view.geometry
@@ -141,31 +134,24 @@ def survey(
         for condition, metering in zip(conditions, metered, strict=True):
             metering.append(meter_view(compose.target(view, condition), seen))
         covered = [frame.shrink(to_byte(view.coverage[name])) for name in record.scene.insertable]
-        buffers["z"].append(frame.pick(geometry.z_depth))
-        buffers["id"].append(frame.pick(geometry.instance_id))
-        buffers["normal"].append(frame.pick(geometry.normal_world))
-        buffers["mask"].append(np.stack(covered))
+        buffers["masks"].append(np.stack(covered))
+        for name in ("z_depth", "instance_id", "normal_world"):
+            buffers[name].append(frame.pick(getattr(geometry, name)))
     lightings = tuple(
         Lighting(numbered(number), condition, join(metering))
         for number, (condition, metering) in enumerate(zip(conditions, metered, strict=True))
     )
-    return lightings, _geometry(record, frame, buffers, farthest)
-
-
-def _geometry(
-    record: SceneRecord, frame: Frame, buffers: dict[str, list[NDArray[np.generic]]], farthest: float
-) -> Geometry:
-    z_depths = np.stack(buffers["z"]).astype(np.float32)
+    z_depths = np.stack(buffers["z_depth"]).astype(np.float32)
     nothing = z_depths <= 0
     # Cut off, not rounded, as published.
     depths = np.clip(z_depths / np.float32(max(farthest, 1e-9)) * 255.0, 0, 255)
-    return Geometry(
+    return lightings, Geometry(
         cameras=tuple(frame.camera(camera) for camera in record.scene.cameras),
         picked=tuple(frame.picked_camera(camera) for camera in record.scene.cameras),
         z_depths=z_depths,
-        instance_ids=np.stack(buffers["id"]).astype(np.uint16),
-        normals=np.stack(buffers["normal"]).astype(np.float32),
+        instance_ids=np.stack(buffers["instance_id"]).astype(np.uint16),
+        normals=np.stack(buffers["normal_world"]).astype(np.float32),
         depths=np.where(nothing, 255, depths).astype(np.uint8),
         environments=np.where(nothing, 255, 0).astype(np.uint8),
-        masks=np.stack(buffers["mask"]).astype(np.uint8),
+        masks=np.stack(buffers["masks"]).astype(np.uint8),
     )

@@ -139,8 +139,9 @@ def _evaluation(
         inserted = scene.picture(compose.target(view, insert.condition), insert, choice.insert_step)
         composite = maps2d.paste(inserted, background, scene.geometry.masks[number, choice.object])
         if flat:
+            depth, mask = scene.geometry.depths[number], scene.geometry.environments[number]
             maps2d.write_evaluation_pictures(
-                flat, number, scene.geometry, composite=composite, background=background, target=target
+                flat, number, composite=composite, bg=background, gt=target, depth=depth, mask=mask
             )
         if colors:
             colors.fill("composite", number, composite)

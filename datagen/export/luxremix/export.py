@@ -19,8 +19,7 @@ from multilight.datagen.export.files import write_json
 from multilight.datagen.export.images import jpeg, png, to_byte
 from multilight.datagen.export.luxremix.meta import Passes, draw_passes, metadata
 from multilight.datagen.export.tars import TarShards
-from multilight.datagen.storage.copies import Copy, Report, making
-from multilight.datagen.storage.manifest import ScenePart, scene_part
+from multilight.datagen.storage.copies import Report, making
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.source import DatasetSource
 from multilight.datagen.storage.store import ViewData, in_half, write_exr
@@ -51,13 +50,22 @@ class LuxremixOutcome:
 def export_luxremix(source: DatasetSource, out: Path, *, tar: bool, report: Report) -> LuxremixOutcome:
     """Write every scene as a folder `000123`, kept where it is there, or all into new tars of ten scenes."""
     with making(out, "luxremix", source, {"tar": tar}) as copy:
+        if tar and copy.holds(record.index for record in source.scenes() if draw_passes(record).lights):
+            return _each(source, lambda record, passes: None, report)
         if tar:
-            return _write_tars(source, copy, report)
+            shards = partial(TarShards, most_bytes=1 << 62, most_groups=SCENES_A_TAR, digits=4)
+            with copy.filling() as (folder, scenes), shards(folder) as tars:
 
-        def write(record: SceneRecord, passes: Passes, part: ScenePart) -> None:
+                def pack(record: SceneRecord, passes: Passes) -> None:
+                    tars.add("training" if record.split == "train" else "test", _packed(source, record, passes))
+                    scenes.append(record.index)
+
+                return _each(source, pack, report)
+
+        def write(record: SceneRecord, passes: Passes) -> None:
             name = f"{record.index:06d}"
-            if not copy.keeps(name, part):
-                with copy.filling_part(name, part) as folder:
+            if not copy.keeps(name, record.index):
+                with copy.filling_part(name, record.index) as folder:
                     write_scene(source, record, passes, folder)
 
         outcome = _each(source, write, report)
@@ -65,11 +73,7 @@ def export_luxremix(source: DatasetSource, out: Path, *, tar: bool, report: Repo
         return outcome
 
 
-def _each(
-    source: DatasetSource,
-    write: Callable[[SceneRecord, Passes, ScenePart], None],
-    report: Report,
-) -> LuxremixOutcome:
+def _each(source: DatasetSource, write: Callable[[SceneRecord, Passes], None], report: Report) -> LuxremixOutcome:
     """Have every scene with layers written, and count."""
     outcome = LuxremixOutcome()
     for done, record in enumerate(source.scenes()):
@@ -78,25 +82,11 @@ def _each(
             outcome.unlit.append(record.index)
         else:
             with source.passing_over(record.index):
-                write(record, passes, scene_part(source, record.index))
+                write(record, passes)
                 outcome.scenes += 1
                 outcome.layers += len(passes.lights) * len(record.views)
         report(done + 1, len(source.indices))
     return outcome
-
-
-def _write_tars(source: DatasetSource, copy: Copy, report: Report) -> LuxremixOutcome:
-    wanted = {f"{r.index:06d}": scene_part(source, r.index) for r in source.scenes() if draw_passes(r).lights}
-    if copy.holds(wanted):
-        return _each(source, lambda record, passes, part: None, report)
-    shards = partial(TarShards, most_bytes=1 << 62, most_groups=SCENES_A_TAR, digits=4)
-    with copy.filling() as (folder, parts), shards(folder) as tars:
-
-        def write(record: SceneRecord, passes: Passes, part: ScenePart) -> None:
-            tars.add("training" if record.split == "train" else "test", _packed(source, record, passes))
-            parts[f"{record.index:06d}"] = part
-
-        return _each(source, write, report)
 
 
 def _packed(source: DatasetSource, record: SceneRecord, passes: Passes) -> Files:

@@ -15,7 +15,6 @@ from multilight.datagen.export.images import depth_mm, png, to_byte
 from multilight.datagen.export.tars import TarShards
 from multilight.datagen.export.webdataset.card import Shards, write_card
 from multilight.datagen.storage.copies import Report, making
-from multilight.datagen.storage.manifest import ScenePart, scene_part
 from multilight.datagen.storage.records import AssetCredit, SceneRecord
 from multilight.datagen.storage.source import DatasetSource
 from multilight.datagen.storage.store import ViewData
@@ -46,37 +45,32 @@ def export_webdataset(source: DatasetSource, out: Path, options: ShardOptions, r
     Raises `UserError` where `out` holds something else.
     """
     with making(out, "webdataset", source, {"pairs": options.pairs, "shard_mb": options.most_bytes // 10**6}) as copy:
-        if copy.holds({f"{index:06d}": scene_part(source, index) for index in source.indices}):
+        if copy.holds(source.indices):
             return None
-        with copy.filling() as (folder, parts):
-            return _fill(source, folder, parts, out.name, options, report)
+        with copy.filling() as (folder, scenes):
+            shards, credits = _fill(source, folder, scenes, options, report)
+            write_card(folder, shards, source.record, list(credits.values()), title=out.name)
+    return shards
 
 
 def _fill(
-    source: DatasetSource,
-    folder: Path,
-    parts: dict[str, ScenePart],
-    title: str,
-    options: ShardOptions,
-    report: Report,
-) -> Shards:
-    """Write all shards and the card, and note in `parts` the scenes that went in."""
+    source: DatasetSource, folder: Path, scenes: list[int], options: ShardOptions, report: Report
+) -> tuple[Shards, dict[str, AssetCredit]]:
+    """Write all shards and note the scenes that went in; returns whom to credit as well."""
     credits: dict[str, AssetCredit] = {}
     with ThreadPoolExecutor(options.threads) as pool, TarShards(folder, options.most_bytes) as tars:
         for done, record in enumerate(source.scenes()):
             with source.passing_over(record.index):
-                part = scene_part(source, record.index)
                 samples = [sample for view in _views(source, record, options, pool) for sample in view]
                 for key, members in samples:
                     tars.add(record.split, {f"{key}.{name}": content for name, content in members.items()})
                 credits |= {credit.id: credit for credit in record.assets}
-                parts[f"{record.index:06d}"] = part
+                scenes.append(record.index)
             report(done + 1, len(source.indices))
     shards = Shards(tars.shards)
     if not shards.samples:
         raise UserError(f"{source.address}: no view shows an insertable object; nothing to export")
-    write_card(folder, shards, source.record, list(credits.values()), title=title)
-    return shards
+    return shards, credits
 
 
 def draw_pairs(record: SceneRecord, view: int, name: str, count: int) -> list[tuple[int, int]]:

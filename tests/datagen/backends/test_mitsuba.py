@@ -441,8 +441,8 @@ def test_only_paths_that_met_a_glowing_object_are_traced_again(backend: MitsubaB
     settings = RenderSettings(spp=4, max_bounces=1, threads=2)
     backend.render(RenderJob(scene, LightRig(lights=lights), settings, 0))
     camera = scene.cameras[0]
-    assert backend._synced is not None
-    batch = _Batch(backend._synced, Lens(camera), settings, 0, first_blocks(camera.width * camera.height, 4))
+    assert backend.synced is not None
+    batch = _Batch(backend.synced, Lens(camera), settings, 0, first_blocks(camera.width * camera.height, 4))
     result = batch._trace(None, dr.arange(mi.UInt32, camera.width * camera.height * 4))
     lit = np.array(result.first) > 0
     assert 0 < np.mean(np.array(result.met)[lit] != 0) < 0.25
