@@ -116,13 +116,9 @@ class DatasetSource:
         name = f"{scene_folder(record.index)}/{stated.file}"
         shown = f"{self.address}/{name}"
         with self._remedy_told(), self.local(name) as path:
-            if not path.is_file():
-                raise StoreError(f"{shown} is missing")
-            if path.stat().st_size != stated.bytes:
-                raise StoreError(
-                    f"{shown} is truncated or replaced: {path.stat().st_size} bytes, scene.json states {stated.bytes}"
-                )
             try:
+                if path.is_file() and (size := path.stat().st_size) != stated.bytes:
+                    raise StoreError(f"{path} is truncated or replaced: {size} bytes, scene.json states {stated.bytes}")
                 return read_view(path, (record, number))
             except StoreError as error:
                 raise StoreError(str(error).replace(str(path), shown)) from None

@@ -26,6 +26,7 @@ from pydantic import ValidationError
 
 from multilight.datagen.errors import StoreError
 from multilight.datagen.storage.layers import GeometryBuffers
+from multilight.datagen.storage.place import find_place
 from multilight.datagen.storage.records import DatasetRecord, SceneRecord
 from multilight.datagen.storage.variants import ALL, RAW, variants_of
 from multilight.scenes.arrays import Float32
@@ -182,12 +183,12 @@ def read_view(path: Path, stated: tuple[SceneRecord, int] | None = None) -> View
 
 def read_scene(folder: Path) -> SceneRecord:
     """Read `scene.json` of a scene's folder; raises `StoreError` naming the file and the reason."""
-    return parse_scene(_read_bytes(file_inside(folder, "scene.json")), str(folder / "scene.json"))
+    return parse_scene(find_place(folder).read("scene.json", MOST_RECORD), str(folder / "scene.json"))
 
 
 def read_dataset(root: Path) -> DatasetRecord:
     """Read `dataset.json`; raises `StoreError` naming the file and the reason."""
-    return parse_dataset(_read_bytes(file_inside(root, "dataset.json")), str(root / "dataset.json"))
+    return parse_dataset(find_place(root).read("dataset.json", MOST_RECORD), str(root / "dataset.json"))
 
 
 def parse_scene(content: bytes, name: str) -> SceneRecord:
@@ -210,22 +211,6 @@ def scene_indices(root: Path) -> list[int]:
         return []
     found = ((scene_number(p.name), p) for p in folder.iterdir() if not p.is_symlink())
     return sorted(number for number, p in found if number is not None and (p / "scene.json").is_file())
-
-
-def check_record_size(size: int, name: str) -> None:
-    """Raise `StoreError` where a record is larger than any that was written."""
-    if size > MOST_RECORD:
-        raise StoreError(f"{name} holds {size} bytes, a record at most {MOST_RECORD}; it is not read")
-
-
-def _read_bytes(path: Path) -> bytes:
-    try:
-        check_record_size(path.stat().st_size, str(path))
-        return path.read_bytes()
-    except FileNotFoundError:
-        raise StoreError(f"{path} is missing: not a dataset, or not finished") from None
-    except OSError as error:
-        raise StoreError(f"{path} cannot be read: {error}") from None
 
 
 def _parse(content: bytes, name: str, kind: type[_Record]) -> _Record:

@@ -2,11 +2,12 @@
 
 from pathlib import Path
 
+from pxr import Usd, UsdValidation
+
 from multilight.datagen.errors import UserError
 from multilight.datagen.production.library import open_library
 from multilight.datagen.storage.copies import Report, making
 from multilight.datagen.storage.source import DatasetSource
-from multilight.datagen.usd.check import stage_faults
 from multilight.datagen.usd.stage import STAGE, write_stage
 
 
@@ -36,3 +37,11 @@ def export_usd(
         copy.finish()
     report(total, total)
     return made
+
+
+def stage_faults(path: Path) -> list[str]:
+    """Return what USD's own validators (what `usdchecker` runs) find wrong with a stage, one line each."""
+    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    found = UsdValidation.ValidationContext(validators).Validate(Usd.Stage.Open(str(path)))
+    places = [", ".join(str(s.GetPrim().GetPath()) for s in error.GetSites() if s.IsPrim()) for error in found]
+    return [f"{e.GetName()}: {e.GetMessage()} {place}".strip() for e, place in zip(found, places, strict=True)]
