@@ -93,13 +93,13 @@ def pack_view(view: ViewData, record: SceneRecord, number: int) -> PackedView:
     objects, camera = tuple(sorted(view.coverage)), record.views[number]
     peak = max(float(layers.max(initial=0.0)) for layers in view.variants.values())
     kind = np.float16 if peak <= HALF_MAX else np.float32
-    whole = _split(_filled(view.variants[ALL].astype(kind)))
+    whole = _split(view.variants[ALL].astype(kind))
     pool, alpha = _Pool((3, TILE, TILE), kind), _Pool((1, TILE, TILE), np.float16)
     tables: dict[str, NDArray[np.int32]] = {}
     for action, of in (("without", Variant.without), ("foreground", Variant.foreground)):
-        variants = (_split(_filled(view.variants[of(name)].astype(kind))) for name in objects)
+        variants = (_split(view.variants[of(name)].astype(kind)) for name in objects)
         tables[action] = np.stack([pool.numbers(tiles, whole) for tiles in variants])
-    cover = (_split(_filled(view.coverage[name][None, ..., None].astype(np.float16))) for name in objects)
+    cover = (_split(view.coverage[name][None, ..., None].astype(np.float16)) for name in objects)
     coverage = np.stack([alpha.numbers(tiles)[0] for tiles in cover])
     return PackedView(
         lights=view.lights,
@@ -202,18 +202,12 @@ class _Pool:
         return np.stack(self._tiles)
 
 
-def _filled(layers: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Lay (L, H, W, C) out as (L, C, Y, X), filled up with zeros to whole tiles."""
+def _split(layers: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Cut (L, H, W, C), filled up with zeros to whole tiles, into (L, T, C, 16, 16)."""
     count, height, width, channels = layers.shape
-    full = np.zeros((count, channels, -(-height // TILE) * TILE, -(-width // TILE) * TILE), layers.dtype)
+    rows, columns = -(-height // TILE), -(-width // TILE)
+    full = np.zeros((count, channels, rows * TILE, columns * TILE), layers.dtype)
     full[..., :height, :width] = layers.transpose(0, 3, 1, 2)
-    return full
-
-
-def _split(full: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Cut (L, C, Y, X) into tiles, a copy: (L, T, C, 16, 16)."""
-    count, channels, height, width = full.shape
-    rows, columns = height // TILE, width // TILE
     cut = full.reshape(count, channels, rows, TILE, columns, TILE).transpose(0, 2, 4, 1, 3, 5)
     return np.array(cut, order="C").reshape(count, rows * columns, channels, TILE, TILE)
 

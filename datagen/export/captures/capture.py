@@ -20,20 +20,14 @@ from multilight.scenes.streams import Streams
 
 
 @dataclass(frozen=True)
-class SceneViews:
-    """A scene's views without their layers: z_depth, normal_world and environment of each, and shared points."""
+class Capture:
+    """One lighting of a scene: tone-mapped pictures (H, W, 3) uint8 sRGB, a view each, with z_depth and environment
+    of each view, and points."""
 
     record: SceneRecord
     depths: tuple[Float32, ...]
     environments: tuple[Float32, ...]
     points: ScenePoints
-
-
-@dataclass(frozen=True)
-class Capture:
-    """One lighting of a scene: tone-mapped pictures (H, W, 3) uint8 sRGB, a view each."""
-
-    scene: SceneViews
     condition: LightingCondition
     images: tuple[UInt8, ...]
 
@@ -83,8 +77,8 @@ def write_pictures(capture: Capture, folder: Path, *, mask_name: str) -> None:
     """
     for name in ("images", "depths", "masks"):
         (folder / name).mkdir()
-    scene = capture.scene
-    for number, (image, depth, sky) in enumerate(zip(capture.images, scene.depths, scene.environments, strict=True)):
+    views = zip(capture.images, capture.depths, capture.environments, strict=True)
+    for number, (image, depth, sky) in enumerate(views):
         (folder / "images" / f"{number:02d}.png").write_bytes(png(image))
         (folder / "depths" / f"{number:02d}.png").write_bytes(png(depth_mm(depth)))
         mask = to_byte(sky < 0.5)
@@ -105,8 +99,8 @@ def _captures(
     rng = Streams(record.seed, record.index, record.attempt)("export/points")
     normals = [buffers.normal_world for buffers in geometry]
     points = scene_points(record.scene.cameras, depths, normals, count=count, rng=rng)
-    scene = SceneViews(record, depths, tuple(buffers.environment for buffers in geometry), points)
+    environments = tuple(buffers.environment for buffers in geometry)
     return [
-        Capture(scene, condition, tuple(lit))
+        Capture(record, depths, environments, points, condition, tuple(lit))
         for condition, lit in zip(conditions, zip(*pictures, strict=True), strict=True)
     ]

@@ -55,19 +55,25 @@ class Frame:
         rows, columns = (self._under(axis) for axis in range(2))
         return buffer[rows[:, None], columns[None]]
 
-    def camera(self, camera: Camera) -> Camera:
-        """Return the stored picture's camera."""
+    def camera(self, camera: Camera, shift: tuple[float, float] = (0.0, 0.0)) -> Camera:
+        """Return the stored picture's camera; the principal point is shifted by so many pixels up and left."""
         (down, across), (row, column) = self._scale(), self.corner
-        return self._resized(camera, (camera.cx * across - column, camera.cy * down - row))
+        return Camera(
+            width=self.size,
+            height=self.size,
+            fx=camera.fx * across,
+            fy=camera.fy * down,
+            cx=camera.cx * across - column - shift[1],
+            cy=camera.cy * down - row - shift[0],
+            c2w=camera.c2w,
+        )
 
     def picked_camera(self, camera: Camera) -> Camera:
         """Return the camera whose pixel centres are the rays that `pick` took: within half a pixel of `camera`."""
-        stored = self.camera(camera)
-        shifts = []
-        for axis, (scale, corner) in enumerate(zip(self._scale(), self.corner, strict=True)):
-            taken = (self._under(axis) + 0.5) * scale - corner
-            shifts.append(float(np.mean(taken - np.arange(self.size) - 0.5)))
-        return self._resized(camera, (stored.cx - shifts[1], stored.cy - shifts[0]))
+        centres = np.arange(self.size)
+        taken = [(self._under(axis) + 0.5) * self._scale()[axis] - self.corner[axis] for axis in range(2)]
+        down, across = (float(np.mean(places - centres - 0.5)) for places in taken)
+        return self.camera(camera, (down, across))
 
     def _scale(self) -> tuple[float, float]:
         return self.shape[0] / self.rendered[0], self.shape[1] / self.rendered[1]
@@ -76,11 +82,6 @@ class Frame:
         """Return the rendered pixel under each stored pixel's centre, along one axis."""
         centres = np.arange(self.size) + self.corner[axis] + 0.5
         return np.floor(centres / self._scale()[axis]).astype(np.int64)
-
-    def _resized(self, camera: Camera, centre: tuple[float, float]) -> Camera:
-        (down, across), (cx, cy) = self._scale(), centre
-        inner = {"fx": camera.fx * across, "fy": camera.fy * down, "cx": cx, "cy": cy}
-        return Camera(width=self.size, height=self.size, **inner, c2w=camera.c2w)
 
 
 @dataclass(frozen=True)

@@ -110,20 +110,21 @@ def write_scene(source: DatasetSource, record: SceneRecord, passes: Passes, fold
 
 def _write_light(folder: Path, number: int, view: ViewData, passes: Passes) -> None:
     """Write the mixes (passes 0 to 3), the environment (1000) and each light alone (1001 on)."""
-    layers, ev = view.variants[ALL], passes.exposure_ev
+    layers = view.variants[ALL]
+
+    def write(name: int, kind: str, picture: Float32, channels: dict[str, NDArray[np.floating]]) -> None:
+        stem = f"{name:04d}.{number:04d}"
+        write_exr(folder / f"{stem}.rgb_{kind}.exr", channels)
+        (folder / f"{stem}.rgb_ldr_{kind}.png").write_bytes(png(to_display(picture, passes.exposure_ev)))
+
     for name, condition in enumerate(passes.mixes):
         picture = mix(layers, view.lights, condition)
-        write_exr(folder / f"{name:04d}.{number:04d}.rgb_mix.exr", _rgba(picture))
-        (folder / f"{name:04d}.{number:04d}.rgb_ldr_mix.png").write_bytes(png(to_display(picture, ev)))
+        write(name, "mix", picture, _rgba(picture))
     background = mix(layers, view.lights, passes.background)
-    write_exr(folder / f"1000.{number:04d}.rgb_bg.exr", _rgba(background))
-    (folder / f"1000.{number:04d}.rgb_ldr_bg.png").write_bytes(png(to_display(background, ev)))
+    write(1000, "bg", background, _rgba(background))
     for name, light in enumerate(passes.lights, 1001):
         layer = layers[view.lights.index(light.name)]
-        write_exr(
-            folder / f"{name}.{number:04d}.rgb_olat.exr", dict(zip("RGB", np.moveaxis(layer, -1, 0), strict=True))
-        )
-        (folder / f"{name}.{number:04d}.rgb_ldr_olat.png").write_bytes(png(to_display(layer, ev)))
+        write(name, "olat", layer, dict(zip("RGB", np.moveaxis(layer, -1, 0), strict=True)))
 
 
 def _write_geometry(folder: Path, number: int, view: ViewData, record: SceneRecord, passes: Passes) -> None:
