@@ -50,7 +50,8 @@ WORK = "work"
 Report = Callable[[float, float], None]
 """Called with how much is done and how much there is to do."""
 Files = Mapping[str, FileEntry]
-_Job, _Made = TypeVar("_Job"), TypeVar("_Made")
+_Job = TypeVar("_Job")
+_Made = TypeVar("_Made")
 _JOURNALLED: TypeAdapter[tuple[str, ScenePart, dict[str, FileEntry]]] = TypeAdapter(
     tuple[str, ScenePart, dict[str, FileEntry]]
 )

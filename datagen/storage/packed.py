@@ -228,7 +228,7 @@ def _fault(view: PackedView) -> str:
     numbers = {"lights": len(view.lights), "objects": len(view.objects), "tiles": rows * columns}
     for name, (kinds, lengths) in ARRAYS.items():
         shape, kind = getattr(view, name).shape, str(getattr(view, name).dtype)
-        wanted = [numbers.get(length, length) for length in lengths]
+        wanted = [numbers[length] if isinstance(length, str) else length for length in lengths]
         if len(shape) != len(wanted) or any(w not in (None, s) for s, w in zip(shape, wanted, strict=True)):
             return f"{name} has shape {shape}"
         if kind not in kinds:

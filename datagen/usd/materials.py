@@ -93,13 +93,13 @@ class _Network:
 
         Colours' pictures are in sRGB, numbers' are linear.
         """
-        coloured = isinstance(value, tuple)
         if texture is None:
-            _feed(self.surface, **{name: Gf.Vec3f(*value) if coloured else value})
+            _feed(self.surface, **{name: Gf.Vec3f(*value) if isinstance(value, tuple) else value})
             return None
-        node = self.picture(name, texture, "sRGB" if coloured else "raw")
-        _feed(node, scale=Gf.Vec4f(*(value if coloured else (value,) * 3), 1.0))
-        _connect(self.surface, name, node, "rgb" if coloured else "r")
+        rgb, space, output = (value, "sRGB", "rgb") if isinstance(value, tuple) else ((value,) * 3, "raw", "r")
+        node = self.picture(name, texture, space)
+        _feed(node, scale=Gf.Vec4f(*rgb, 1.0))
+        _connect(self.surface, name, node, output)
         return node
 
     def picture(self, name: str, texture: Texture, colour_space: str) -> Any:

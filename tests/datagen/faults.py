@@ -28,6 +28,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import tyro
@@ -276,23 +277,22 @@ class Bench:
         """Damage a file of a dataset, and run the commands on it (all, or those chosen)."""
         root = self.place
         same = self.damaged(self.sound, root, name, damage, seed)
-        unseen = same and name.endswith((".exr", ".png"))
-        trials: dict[str, Callable[[], str]] = {
-            command: lambda words=words, quick=quick: judge_verify(run((words, None)), quick=quick, same_size=unseen)
-            for command, words, quick in (
-                ("verify", ["verify", root], False),
-                ("verify --quick", ["verify", root, "--quick"], True),
-            )
-        }
-        for command, case in readers(root, self.fresh("out")).items():
-            trials[command] = lambda command=command, case=case: judge_reader(run(case), self.outputs[command])
-        for command, case in (("dataset", dataset(root)), ("dataset --repair", dataset(root, "--repair", given=False))):
 
-            def repair(case: Case = case, full: bool = "--repair" in command) -> str:
-                self.damaged(self.sound, root, name, damage, seed)
-                return judge_repair(run(case), self.wanted, full=full, same_size=same)
+        def verified(*quick: str) -> str:
+            ran = run((["verify", root, *quick], None))
+            return judge_verify(ran, quick=bool(quick), same_size=same and name.endswith((".exr", ".png")))
 
-            trials[command] = repair
+        def read(command: str) -> str:
+            return judge_reader(run(readers(root, self.folder / "out")[command]), self.outputs[command])
+
+        def repaired(*full: str) -> str:
+            self.damaged(self.sound, root, name, damage, seed)
+            ran = run(dataset(root, *full, given=not full))
+            return judge_repair(ran, self.wanted, full=bool(full), same_size=same)
+
+        trials: dict[str, Callable[[], str]] = {"verify": verified, "verify --quick": partial(verified, "--quick")}
+        trials |= {command: partial(read, command) for command in readers(root, self.fresh("out"))}
+        trials |= {"dataset": repaired, "dataset --repair": partial(repaired, "--repair")}
         return Row(name, damage, {c: trial() for c, trial in trials.items() if not chosen or c in chosen})
 
     def copy_row(self, copy: str, name: str, damage: str, seed: str) -> Row:

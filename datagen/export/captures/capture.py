@@ -54,7 +54,9 @@ def export_captures(
     if points < 1:
         raise UserError(f"--points {points} must be 1 or more")
     written = 0
-    settings: Settings = {"points": points} | ({} if conditions is None else {"conditions": conditions})
+    settings: Settings = {"points": points}
+    if conditions is not None:
+        settings["conditions"] = conditions
     with making(out, kind, source, settings) as copy:
         for done, record in enumerate(source.scenes()):
             chosen = record.conditions[:conditions]
