@@ -20,6 +20,7 @@ from multilight.datagen.backends.protocol import RenderJob, RenderSettings
 from multilight.datagen.config.dataset import DatasetConfig
 from multilight.datagen.production.scene import sample_scene
 from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.geometry.rays import body_triangles
 from multilight.scenes.streams import Streams
 
 import drjit as dr  # isort: skip
@@ -97,22 +98,19 @@ def main(options: Options) -> None:
     render(0)
     views = np.linspace(1, len(scene.cameras) - 1, options.views).astype(int).tolist()
     seconds = sum(render(view) for view in views)
-    synced = backend._synced
-    assert synced is not None
-    whole = synced.world
+    assert backend.synced is not None
+    whole = backend.synced.world
     counter = dr.zeros(mi.UInt32, 1)
-    synced.worlds[None] = counted(whole, counter)
+    backend.synced.worlds[None] = counted(whole, counter)
     for view in views:
         render(view)
     rays = int(counter[0])
-    positions = np.array(synced.world.surfaces._vertices).reshape(-1, 8)[:, :3]
+    positions = np.concatenate([body_triangles(body, library)[0] for body in bodies])
     floor = bare(whole, positions, 1 << 21)
-    print(
-        f"{len(rig.lights)} lights, {dr.width(whole.whole.original)} triangles, {options.spp} spp, {len(views)} views"
-    )
-    print(
-        f"paths: {rays / seconds / 1e6:.1f} million rays a core-second ({rays / len(views) / 1e6:.1f} million a view)"
-    )
+    triangles = dr.width(whole.whole.original)
+    print(f"{len(rig.lights)} lights, {triangles} triangles, {options.spp} spp, {len(views)} views")
+    million = rays / 1e6
+    print(f"paths: {million / seconds:.1f} million rays a core-second ({million / len(views):.1f} million a view)")
     print(f"bare:  {floor / 1e6:.1f} million closest hits a core-second")
     print(f"ratio: {rays / seconds / floor:.2f}")
 

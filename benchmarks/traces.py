@@ -67,8 +67,8 @@ class Background:
     silhouette: Mask
     removed: Float32
     never: Float32
-    converged: Float32 | None
-    present: Float32 | None
+    converged: Float32
+    present: Float32
 
 
 def backgrounds(options: Options, backend: Backend, library: AssetLibrary) -> Iterator[Background]:
@@ -83,13 +83,13 @@ def backgrounds(options: Options, backend: Backend, library: AssetLibrary) -> It
         else:
             continue
 
-        def render(variant: str, spp: int, scene: SceneSpec = scene, rig: LightRig = rig) -> LayerStack:
+        def render(variant: str, spp: int = options.spp, scene: SceneSpec = scene, rig: LightRig = rig) -> LayerStack:
             return backend.render(RenderJob(scene, rig, RenderSettings(spp=spp), 0, variant))
 
-        everything = render(ALL, options.spp)
+        everything = render(ALL)
         clean = denoise_all(everything)
         for name in scene.insertable:
-            without, foreground = (render(of(name), options.spp) for of in (Variant.without, Variant.foreground))
+            without, foreground = (render(of(name)) for of in (Variant.without, Variant.foreground))
             assert foreground.coverage is not None
             silhouette = foreground.coverage > 0
             if silhouette.sum() < LEAST:
@@ -98,38 +98,21 @@ def backgrounds(options: Options, backend: Backend, library: AssetLibrary) -> It
             removed = denoise_without(without, everything, clean, shown).layers
             bodies = tuple(body for body in scene.bodies if body.name != name)
             lights = tuple(x for x in rig.lights if not (isinstance(x, EmissiveLight) and x.body == name))
-            never = denoise_all(
-                backend.render(
-                    RenderJob(
-                        scene.model_copy(update={"bodies": bodies}),
-                        LightRig(lights=lights),
-                        RenderSettings(spp=options.spp),
-                        0,
-                    )
-                )
+            emptied = scene.model_copy(update={"bodies": bodies})
+            never = denoise_all(render(ALL, scene=emptied, rig=LightRig(lights=lights)))
+            # Without converged renders nothing is compared with them.
+            truth, present = (
+                render(variant, options.converged_spp).radiance if options.converged_spp else everything.radiance
+                for variant in (Variant.without(name), ALL)
             )
-            truth = present = None
-            if options.converged_spp:
-                truth = render(Variant.without(name), options.converged_spp).radiance
-                present = render(ALL, options.converged_spp).radiance
-            for number, light in enumerate(lights):
-                at = rig.names.index(light.name)
-                yield Background(
-                    index,
-                    f"scene {index}, {name}, {light.name}",
-                    silhouette,
-                    removed[at],
-                    never[number],
-                    None if truth is None else truth[at],
-                    None if present is None else present[at],
-                )
+            for light, alone in zip(lights, never, strict=True):
+                at, title = rig.names.index(light.name), f"scene {index}, {name}, {light.name}"
+                yield Background(index, title, silhouette, removed[at], alone, truth[at], present[at])
         print(f"scene {index} ({scene.kind}) rendered", flush=True)
 
 
 def fractions_left(layer: Background, picture: Float32) -> Iterator[float]:
     """Yield how much of the object's contrast a picture holds, by blocks inside the silhouette."""
-    assert layer.converged is not None
-    assert layer.present is not None
     for top in range(0, layer.silhouette.shape[0], SIDE):
         for left in range(0, layer.silhouette.shape[1], SIDE):
             at = np.s_[top : top + SIDE, left : left + SIDE]
@@ -142,9 +125,12 @@ def fractions_left(layer: Background, picture: Float32) -> Iterator[float]:
                 yield float(off @ contrast / (contrast @ contrast))
 
 
+def _local(true: Float32) -> Float32:
+    return true.mean(axis=-1, keepdims=True) + 0.05 * true.mean()
+
+
 def _error(picture: Float32, true: Float32, where: Mask) -> float:
-    scale = true.mean(axis=-1, keepdims=True) + 0.05 * true.mean()
-    return float(np.sqrt(np.mean(np.square((picture - true) / scale)[where])))
+    return float(np.sqrt(np.mean(np.square((picture - true) / _local(true))[where])))
 
 
 def _colour_error(picture: Float32, true: Float32, where: Mask) -> float:
@@ -153,10 +139,8 @@ def _colour_error(picture: Float32, true: Float32, where: Mask) -> float:
 
 
 def _gradient_energy(picture: Float32, true: Float32, where: Mask) -> float:
-    scale = true.mean(axis=-1, keepdims=True) + 0.05 * true.mean()
-    energy = sum(np.square(np.diff(picture, axis=axis, append=picture[-1:] if axis == 0 else picture[:, -1:]))
-                 for axis in (0, 1)) / scale**2  # fmt: skip
-    return float(energy[where].mean())
+    energy = sum(np.square(np.diff(picture, axis=axis, append=picture.take([-1], axis))) for axis in (0, 1))
+    return float((energy / _local(true) ** 2)[where].mean())
 
 
 MEASURES: dict[str, Callable[[Float32, Float32, Mask], float]] = {
@@ -176,7 +160,6 @@ def compare(layers: list[Background]) -> None:
         for name, measure in MEASURES.items():
             ratios = []
             for layer in layers:
-                assert layer.converged is not None
                 near, far = (binary_dilation(layer.silhouette, iterations=reach) for reach in (4, 14))
                 where = layer.silhouette if place.startswith("inside") else far & ~near
                 values = [measure(picture, layer.converged, where) for picture in (layer.removed, layer.never)]
@@ -211,26 +194,22 @@ def found_by_network(layers: list[Background], kind: str, steps: int) -> tuple[f
     held_out = torch.tensor([layer.scene in kept for layer in layers])
     known, known_masks = pictures[~held_out], masks[~held_out]
     torch.manual_seed(0)
-    network = Finder()
+    network, wrong = Finder(), nn.BCEWithLogitsLoss(pos_weight=torch.tensor(10.0))
     optimizer = torch.optim.AdamW(network.parameters(), 2e-3)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
     for _ in range(steps):
         chosen = torch.randint(len(known), (8,))
-        logits = network(known[chosen])
-        loss = nn.functional.binary_cross_entropy_with_logits(
-            logits, known_masks[chosen], pos_weight=torch.tensor(10.0)
-        )
+        loss = wrong(network(known[chosen]), known_masks[chosen])
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
         schedule.step()
+    areas: dict[int, list[float]] = {scene: [] for scene in sorted(kept)}
     with torch.no_grad():
-        areas = [
-            _area(network(p[None])[0].numpy(), m.numpy() > 0)
-            for p, m in zip(pictures[held_out], masks[held_out], strict=True)
-        ]
-    of_scene = [np.mean([a for a, x in zip(areas, (y for y in layers if y.scene in kept), strict=True) if x.scene == s])
-                for s in sorted(kept)]  # fmt: skip
+        for layer, picture in zip(layers, pictures, strict=True):
+            if layer.scene in kept:
+                areas[layer.scene].append(_area(network(picture[None])[0, 0].numpy(), layer.silhouette))
+    of_scene = [np.mean(found) for found in areas.values()]
     return float(np.mean(of_scene)), float(np.std(of_scene) / np.sqrt(len(of_scene)))
 
 
@@ -255,9 +234,7 @@ def main(options: Options) -> None:
     if options.steps:
         for kind, title in (("removed", "from which it was removed"), ("never", "that never had it")):
             area, error = found_by_network(layers, kind, options.steps)
-            print(
-                f"a network finds the object's place in backgrounds {title}: {area:.3f} ± {error:.3f} under the curve"
-            )
+            print(f"a network finds its place in backgrounds {title}: {area:.3f} ± {error:.3f} under the curve")
 
 
 if __name__ == "__main__":

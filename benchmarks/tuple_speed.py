@@ -18,6 +18,7 @@ import torch
 import tyro
 from PIL import Image
 
+from multilight.datagen.export.images import png, to_byte
 from multilight.datagen.storage.packed import PackedView
 from multilight.datagen.storage.training_source import TrainingSource, open_training
 from multilight.datagen.storage.variants import Variant
@@ -55,14 +56,6 @@ def mixed(view: PackedView, name: str) -> dict[str, torch.Tensor]:
     return cropped_sample(view, pictures, centre_crop(*view.z_depth.shape), min(view.z_depth.shape))
 
 
-def png(values: torch.Tensor) -> bytes:
-    """Encode (C, H, W) in [0, 1] as 8-bit PNG."""
-    levels = np.rint(values.permute(1, 2, 0).numpy() * 255).astype(np.uint8)
-    stream = io.BytesIO()
-    Image.fromarray(levels.squeeze()).save(stream, "PNG")
-    return stream.getvalue()
-
-
 def read_pngs(files: list[bytes]) -> list[torch.Tensor]:
     """Decode pictures to float tensors in [0, 1]."""
     return [torch.from_numpy(np.array(Image.open(io.BytesIO(f)))).float().div_(255) for f in files]
@@ -75,7 +68,7 @@ def published_bytes(source: TrainingSource, scene: int, number: int, name: str) 
     for gains in view.conditions[:12]:
         linear = np.einsum("lhwc,lc->hwc", layers, gains)
         for stops in (-1.0, -0.5, 0.0, 0.5):
-            total += len(png(torch.from_numpy(to_display(linear, stops) / np.float32(255)).permute(2, 0, 1)))
+            total += len(png(to_display(linear, stops)))
     return total
 
 
@@ -103,7 +96,8 @@ def main(options: Options) -> None:
     for place in places:
         sample = tuple_of(packed, place)
         depth = sample["z_depth"] / sample["z_depth"].max()
-        files.append([png(p) for p in (sample["composite"], sample["background"], sample["target"], depth)])
+        pictures = (sample["composite"], sample["background"], sample["target"], depth)
+        files.append([png(to_byte(p.permute(1, 2, 0).squeeze(2).numpy())) for p in pictures])
     views = [packed.view(*place[:2]) for place in places]
     random = MultiLightDataset(options.packed, SampleSettings(split=None, augment=False, length=options.rounds + 5))
     varied = MultiLightDataset(options.packed, SampleSettings(split=None, length=options.rounds + 5))

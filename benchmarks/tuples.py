@@ -24,14 +24,18 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import Any
 
+import bpy
 import numpy as np
 import tyro
 
-from benchmarks.one_by_one import OneByOne, grey_gains
+from multilight.datagen.backends.blender.backend import BlenderBackend, hidden
+from multilight.datagen.backends.blender.film import beauty_filter, render_passes
+from multilight.datagen.backends.blender.scene import place_camera
 from multilight.datagen.backends.choose import open_backend
 from multilight.datagen.backends.protocol import Backend, RenderJob, RenderSettings
-from multilight.datagen.config.dataset import DatasetConfig, RendererName
+from multilight.datagen.config.dataset import DatasetConfig
 from multilight.datagen.production.denoise import denoise_all
 from multilight.datagen.production.scene import sample_scene
 from multilight.datagen.production.stopwatch import Stopwatch
@@ -102,14 +106,58 @@ class Method:
     ladder: dict[int, float]
     cost: Callable[[int], float]
 
-    @property
-    def best(self) -> float:
-        """The highest quality reached."""
-        return max(self.ladder.values())
 
-    def least_spp(self, quality: float) -> int:
-        """Return the fewest samples that reach a quality."""
-        return min(spp for spp, decibels in self.ladder.items() if decibels >= quality)
+def relit(rig: LightRig, condition: LightingCondition) -> LightRig:
+    """Build the rig that a renderer would be given for one condition (gains' mean: the cost does not depend on hue)."""
+    lights = [
+        light.scaled(float(np.mean(condition.gains[light.name])))
+        for light in rig.lights
+        if np.any(condition.gains.get(light.name, 0))
+    ]
+    return LightRig(lights=tuple(lights))
+
+
+def grey_gains(condition: LightingCondition) -> LightingCondition:
+    """Return the condition that `relit` renders, without its exposure."""
+    gains = {name: (float(np.mean(gain)),) * 3 for name, gain in condition.gains.items()}
+    return condition.model_copy(update={"gains": gains, "exposure_ev": 0.0})
+
+
+class OneByOne:
+    """Renders whole pictures: no light groups, Cycles' denoiser with guides that it has cleaned first (its default)."""
+
+    def __init__(self, backend: Any) -> None:
+        assert isinstance(backend, BlenderBackend)
+        self._backend = backend
+        self._loaded: tuple[LightingCondition, int] | None = None
+        self._synced: Any = None
+
+    def load(self, case: Case, condition: LightingCondition, spp: int) -> None:
+        """Put the scene into Blender, with the condition's lights."""
+        if self._loaded == (condition, spp) and self._backend.synced is self._synced:
+            return
+        job = RenderJob(case.scene, relit(case.rig, condition), RenderSettings(spp=spp), case.options.view)
+        self._synced = self._backend.sync(job, keep=False)  # what follows is not what its next job may find
+        scene = bpy.context.scene
+        groups = scene.view_layers[0].lightgroups
+        for group in list(groups):
+            groups.remove(group)
+        scene.cycles.use_denoising, scene.cycles.denoiser = True, "OPENIMAGEDENOISE"
+        scene.cycles.denoising_input_passes, scene.cycles.denoising_prefilter = "RGB_ALBEDO_NORMAL", "ACCURATE"
+        place_camera(case.scene.cameras[case.options.view])
+        scene.cycles.seed = 1
+        beauty_filter(1)
+        render_passes()
+        beauty_filter(spp)
+        self._loaded = (condition, spp)
+
+    def render(self, case: Case, condition: LightingCondition, spp: int, without: str | None) -> Float32:
+        """Render everything, or all but one object: (H, W, 3)."""
+        self.load(case, condition, spp)
+        if without is None:
+            return np.ascontiguousarray(render_passes()["Combined"][..., :3])
+        with hidden(self._synced, without):
+            return np.ascontiguousarray(render_passes()["Combined"][..., :3])
 
 
 def climb(title: str, options: Options, quality: Callable[[int], float]) -> dict[int, float]:
@@ -163,7 +211,8 @@ def light_by_light(title: str, backend: Backend, case: Case) -> Method:
         start, watch = time.process_time(), Stopwatch()
         make_tuples(case, render_view(setup, view, watch).data)
         seconds = time.process_time() - start
-        fractions = ", ".join(f"{stage} {part:.0%}" for stage, part in _fractions(watch).items())
+        spent = watch.seconds()
+        fractions = ", ".join(f"{stage} {value / sum(spent.values()):.0%}" for stage, value in spent.items())
         print(f"  {title:36}{spp:5} spp {seconds:6.1f} core-s for view {view} ({fractions} of the time)", flush=True)
         return seconds
 
@@ -174,16 +223,10 @@ def light_by_light(title: str, backend: Backend, case: Case) -> Method:
 
     other = (case.options.view + 1) % len(case.scene.cameras)
     first, second = (whole_view(LEAST_SPP, view) for view in (other, case.options.view))
-    print(
-        f"  {title:36}once a scene {max(first - second, 0):.1f} core-s: loading, and compiling what no run before had"
-    )
+    once = max(first - second, 0)
+    print(f"  {title:36}once a scene {once:.1f} core-s: loading, and compiling what no run before had")
     case.converge(backend)
     return Method(title, climb(title, case.options, quality), cost)
-
-
-def _fractions(watch: Stopwatch) -> dict[str, float]:
-    seconds = watch.seconds()
-    return {stage: value / sum(seconds.values()) for stage, value in seconds.items()}
 
 
 def condition_by_condition(title: str, backend: OneByOne, case: Case) -> Method:
@@ -192,9 +235,9 @@ def condition_by_condition(title: str, backend: OneByOne, case: Case) -> Method:
     chosen = [case.conditions[i] for i in np.linspace(0, len(case.conditions) - 1, count).astype(int)]
 
     def quality(spp: int) -> float:
-        return float(
-            np.mean([case.decibels(backend.render(case, c, spp, None), grey_gains(c), "cycles") for c in chosen])
-        )
+        pictures = [backend.render(case, condition, spp, None) for condition in chosen]
+        pairs = zip(pictures, map(grey_gains, chosen), strict=True)
+        return float(np.mean([case.decibels(picture, condition, "cycles") for picture, condition in pairs]))
 
     def cost(spp: int) -> float:
         seconds = 0.0
@@ -214,25 +257,22 @@ def condition_by_condition(title: str, backend: OneByOne, case: Case) -> Method:
 def measure(case: Case, library: AssetLibrary) -> None:
     """Print tuples a core-second of one case, by three methods, and their ratios."""
     options = case.options
-    name: RendererName = "mitsuba"
-    with open_backend(name, library) as mitsuba, open_backend("cycles", library) as cycles:
+    with open_backend("mitsuba", library) as mitsuba, open_backend("cycles", library) as cycles:
         methods = [
             light_by_light("(a) Mitsuba, light by light", mitsuba, case),
             light_by_light("(b) Cycles, light groups", cycles, case),
             condition_by_condition("(c) Cycles, one render a condition", OneByOne(cycles), case),
         ]
-        quality = min(options.quality, *(method.best for method in methods))
+        quality = min(options.quality, *(max(method.ladder.values()) for method in methods))
         if quality < options.quality:
             print(f"  not all reach {options.quality} dB with {options.most_spp} samples: compared at {quality:.1f} dB")
         tuples = len(case.scene.insertable) * len(case.conditions) ** 2
         rates = []
         for method in methods:
-            spp = method.least_spp(quality)
+            spp = min(spp for spp, decibels in method.ladder.items() if decibels >= quality)
             rates.append(tuples / method.cost(spp))
-            print(
-                f"  {method.title:36}{spp:5} spp {method.ladder[spp]:6.1f} dB {rates[-1]:9.2f} tuples a core-s",
-                flush=True,
-            )
+            reached = f"{spp:5} spp {method.ladder[spp]:6.1f} dB"
+            print(f"  {method.title:36}{reached} {rates[-1]:9.2f} tuples a core-s", flush=True)
         a, b, c = rates
         print(f"  ratios: (a)/(b) {a / b:.1f}, (b)/(c) {b / c:.1f}, (a)/(c) {a / c:.1f}", flush=True)
 

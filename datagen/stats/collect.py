@@ -1,7 +1,7 @@
 """Measure a dataset on disk, or scenes that are only sampled, and sum up."""
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -15,13 +15,12 @@ from multilight.datagen.stats.duplicates import Bits, Pair, alike_in_content, al
 from multilight.datagen.stats.facts import SceneFacts, scene_facts
 from multilight.datagen.stats.pictures import picture_values, read_preview
 from multilight.datagen.stats.quantities import QUANTITIES, Coverage, Quantity, Value, coverage_of
+from multilight.datagen.storage.copies import Report
 from multilight.datagen.storage.source import open_dataset
 from multilight.datagen.storage.store import scene_dir
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.assets.splits import SPLITS, Split
 from multilight.scenes.streams import Streams
-
-Report = Callable[[float, float], None]
 
 
 @dataclass(frozen=True)

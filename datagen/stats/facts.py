@@ -8,7 +8,7 @@ import numpy as np
 from multilight.datagen.stats.quantities import Value
 from multilight.lights.photometry.irradiance import LightMeter
 from multilight.lights.rigs.measure import LightMeasure, measure_light
-from multilight.lights.spec import EnvironmentLight, Light, LightRig
+from multilight.lights.spec import EnvironmentLight, LightRig
 from multilight.scenes.appearance import material_class
 from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.library import AssetLibrary
@@ -51,20 +51,17 @@ def scene_facts(scene: SceneSpec, rig: LightRig, split: Split, library: AssetLib
     values["kind"], values["split"] = [scene.kind], [split]
     values["objects"], values["lights"] = [float(len(objects))], [float(len(rig.lights))]
     values["glows"] = ["yes" if any(light.kind == "emissive" for light in rig.lights) else "no"]
-    _add_contrast(values, lights)
+    # The strongest light against all others, as a dome meter reads them; what glows counts in neither.
+    *others, strongest = sorted(light.dome for light in lights if light.kind != "emissive") or [0.0]
+    if sum(others) > 0:
+        values["contrast"].append(float(np.log2(strongest / sum(others))))
     for body in objects:
         _add_object(values, body, library)
-    for light, measure in zip(rig.lights, lights, strict=True):
-        _add_light(values, light, measure)
+    for light in lights:
+        _add_light(values, light)
+    values["gel"] += [light.gel for light in rig.lights if light.gel is not None]
     _add_views(values, scene, meter.rays, library)
     return SceneFacts(scene.index, split, dict(values), owned_by(scene, rig, library), _tokens(scene))
-
-
-def _add_contrast(values: Values, lights: list[LightMeasure]) -> None:
-    """Compare the strongest light with all others, as a dome meter reads them; what glows counts in neither."""
-    strengths = sorted(light.dome for light in lights if light.kind != "emissive")
-    if sum(strengths[:-1]) > 0:
-        values["contrast"].append(float(np.log2(strengths[-1] / sum(strengths[:-1]))))
 
 
 def _add_object(values: Values, body: Body, library: AssetLibrary) -> None:
@@ -77,7 +74,7 @@ def _add_object(values: Values, body: Body, library: AssetLibrary) -> None:
         values["transmission"].append(material.transmission)
 
 
-def _add_light(values: Values, light: Light, measure: LightMeasure) -> None:
+def _add_light(values: Values, measure: LightMeasure) -> None:
     values["light_kind"].append(measure.kind)
     values["azimuth"].append(float(np.degrees(measure.azimuth)))
     values["elevation"].append(float(np.degrees(measure.elevation)))
@@ -86,8 +83,6 @@ def _add_light(values: Values, light: Light, measure: LightMeasure) -> None:
     values["temperature"].append(measure.temperature)
     values["saturation"].append(measure.saturation)
     values["shaped"].append("yes" if measure.shaped else "no")
-    if light.gel is not None:
-        values["gel"].append(light.gel)
 
 
 def _add_views(values: Values, scene: SceneSpec, rays: SceneRays, library: AssetLibrary) -> None:

@@ -40,7 +40,9 @@ def write_page(summary: Summary, out: Path) -> None:
 
 def _page(summary: Summary) -> str:
     sections = {s: [_card(summary, q) for q in summary.quantities if q.section == s] for s in SECTIONS}
-    sections["lights"].insert(1, _direction_card(summary))
+    svg, filled = direction_plot(summary.values["azimuth"], summary.values["elevation"])
+    note = f"bins of equal solid angle; of those above the horizon {100 * filled:.0f} % filled"
+    sections["lights"].insert(1, Card("where light comes from", _address(svg), (note,)))
     values = {"title": summary.title, "summary": summary, "sections": sections, "most_pairs": MOST_PAIRS}
     return render_page(Path(__file__).with_name("page.html.jinja"), **values)
 
@@ -53,12 +55,6 @@ def _card(summary: Summary, quantity: Quantity) -> Card:
         counted += f", median {median}, nine in ten within {low} to {high} {quantity.unit}"
     bins = f"bins filled {100 * coverage.filled:.0f} %, evenness {coverage.evenness:.2f}"
     return Card(quantity.title, _address(bar_plot(quantity, coverage)), (counted, bins))
-
-
-def _direction_card(summary: Summary) -> Card:
-    svg, filled = direction_plot(summary.values["azimuth"], summary.values["elevation"])
-    note = f"bins of equal solid angle; of those above the horizon {100 * filled:.0f} % filled"
-    return Card("where light comes from", _address(svg), (note,))
 
 
 def _address(svg: str) -> str:

@@ -1,7 +1,7 @@
 """The index: one Parquet row a scene, for look-ups without opening the scenes."""
 
 import io
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from multilight.datagen.storage.variants import ALL
 from multilight.lights.photometry.angular_size import angular_diameter
 from multilight.scenes.appearance import is_mirror, material_class
 from multilight.scenes.cameras.pinhole import focal_length_mm
+from multilight.scenes.frozen import Matrix4
 
 _TEXTS, _NUMBERS = pl.List(pl.String), pl.List(pl.Float64)
 COLUMNS: dict[str, tuple[pl.DataType, str]] = {
@@ -99,6 +100,8 @@ def parse_index(content: bytes, name: str, *, older: bool = False) -> pl.DataFra
 
 def index_row(record: SceneRecord) -> dict[str, Any]:
     """Summarize a scene: what is in it, what shines, how large it is."""
+    bodies, cameras = record.scene.bodies, record.scene.cameras
+    objects = [body for body in bodies if body.role == "object"]
     return {
         "index": record.index,
         "seed": record.seed,
@@ -113,38 +116,23 @@ def index_row(record: SceneRecord) -> dict[str, Any]:
         "scene_sha256": record.scene_sha256,
         "rig_sha256": record.rig_sha256,
         "record_sha256": record.record_sha256,
-        **_cameras(record),
-        **_bodies(record),
-        **_lights(record),
-    }
-
-
-def _cameras(record: SceneRecord) -> dict[str, Any]:
-    cameras = record.scene.cameras
-    return {
         "views": len(record.views),
         "width": record.views[0].width,
         "height": record.views[0].height,
         "lens_mm": [round(focal_length_mm(camera), 1) for camera in cameras],
         "depth_of_field": any(camera.aperture_radius > 0 for camera in cameras),
-    }
-
-
-def _bodies(record: SceneRecord) -> dict[str, Any]:
-    objects = [body for body in record.scene.bodies if body.role == "object"]
-    return {
         "objects": len(objects),
         "insertable": list(record.scene.insertable),
         "categories": [body.category for body in objects],
-        "surroundings": sorted({body.category for body in record.scene.bodies if body.role != "object"}),
+        "surroundings": sorted({body.category for body in bodies if body.role != "object"}),
         "materials": sorted({material_class(material) for body in objects for material in body.materials}),
-        "mirror": any(is_mirror(body) for body in record.scene.bodies),
+        "mirror": any(is_mirror(body) for body in bodies),
+        **_lights(record, [body.world_from_body for body in objects]),
     }
 
 
-def _lights(record: SceneRecord) -> dict[str, Any]:
+def _lights(record: SceneRecord, places: Sequence[Matrix4]) -> dict[str, Any]:
     lights = record.rig.lights
-    places = [body.world_from_body for body in record.scene.bodies if body.role == "object"]
     centre = np.mean([np.array(pose)[:3, 3] for pose in places], axis=0) if places else np.zeros(3)
     diameters = [angular_diameter(light, centre) for light in lights]
     sizes = [None if size is None else round(float(np.degrees(size)), 3) for size in diameters]

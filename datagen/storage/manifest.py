@@ -11,7 +11,7 @@ import shlex
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -88,7 +88,7 @@ class CopyFault:
 def write_manifest(root: Path, manifest: Manifest) -> None:
     """Write `manifest.json`, a line a file."""
     head = json.dumps(manifest.sealed().model_dump(exclude={"files"}), indent=1, sort_keys=True).removesuffix("\n}")
-    lines = [f"  {json.dumps(name)}: {_line(entry)}" for name, entry in sorted(manifest.files.items())]
+    lines = [f"  {json.dumps(name)}: {json.dumps(asdict(entry))}" for name, entry in sorted(manifest.files.items())]
     write_text(root / MANIFEST, f'{head},\n "files": {{\n' + ",\n".join(lines) + "\n }\n}\n")
 
 
@@ -198,7 +198,3 @@ def scene_part(source: DatasetSource, index: int) -> ScenePart:
             return ScenePart(scene=index, record_sha256=file_sha256(path))
         except OSError as error:
             raise StoreError(f"{source.address}/{name}: {error.strerror}") from None
-
-
-def _line(entry: FileEntry) -> str:
-    return f'{{"bytes": {entry.bytes}, "sha256": "{entry.sha256}"}}'

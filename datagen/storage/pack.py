@@ -6,19 +6,17 @@ its hash.
 """
 
 import shutil
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
-from multiprocessing import get_context
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 
 from multilight.datagen.errors import StoreError, UserError
-from multilight.datagen.storage.copies import Copy, Report, files_of, making, whole_folder
+from multilight.datagen.storage.copies import Copy, Report, files_of, in_processes, making, whole_folder
 from multilight.datagen.storage.index import index_bytes
-from multilight.datagen.storage.manifest import FileEntry, scene_part
+from multilight.datagen.storage.manifest import FileEntry
 from multilight.datagen.storage.packed import PackedView, pack_view, read_packed, value_fault, write_packed
 from multilight.datagen.storage.source import DatasetSource, open_dataset
 from multilight.datagen.storage.store import ViewData, scene_folder
@@ -47,38 +45,17 @@ def pack_dataset(address: str, out: Path, *, workers: int, report: Report) -> Pa
     if source.place.exists(VISIBLE):
         raise UserError(f"{address} is a packed dataset already")
     with making(out, "packed", source, {}) as copy:
-        parts = {index: scene_part(source, index) for index in source.indices}
-        if gone := sorted({part.scene for part in copy.parts.values()} - set(parts)):
-            raise UserError(f"--out {out} holds scene {gone[0]}, which {address} has not; give another folder")
-        missing = [index for index, part in parts.items() if not copy.keeps(scene_folder(index), part)]
+        missing = [index for index in source.indices if not copy.keeps(scene_folder(index), index)]
         report(0, len(missing))
-        for done, (index, files) in enumerate(_pack_all(address, missing, out, workers), 1):
-            copy.add(scene_folder(index), parts[index], files)
+        packing = in_processes(partial(pack_scene, address, out), missing, workers)
+        for done, (index, files) in enumerate(packing, 1):
+            copy.add(scene_folder(index), index, files())
             report(done, len(missing))
         return _finish(source, copy, len(missing))
 
 
-_Made = tuple[int, dict[str, FileEntry]]
-
-
-def _pack_all(address: str, indices: Sequence[int], out: Path, workers: int) -> Iterator[_Made]:
-    """Pack scenes, and tell of each as it is done."""
-    if workers == 1:
-        for index in indices:
-            yield pack_scene(address, index, out)
-        return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        jobs = [pool.submit(pack_scene, address, index, out) for index in indices]
-        try:
-            for job in as_completed(jobs):
-                yield job.result()
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
-
-
-def pack_scene(address: str, index: int, out: Path) -> _Made:
-    """Pack one scene; returns its index and the hashes of its files."""
+def pack_scene(address: str, out: Path, index: int) -> dict[str, FileEntry]:
+    """Pack one scene; returns the hashes of its files."""
     source = open_dataset(address, where=f"index = {index}")
     record = source.scene(index)
     with whole_folder(out, scene_folder(index)) as work:
@@ -95,7 +72,7 @@ def pack_scene(address: str, index: int, out: Path) -> _Made:
                 raise StoreError(f"{path} does not read back as it was written: {fault}")
         with source.local(f"{scene_folder(index)}/scene.json") as path:
             shutil.copyfile(path, work / "scene.json")
-    return index, files_of(out, scene_folder(index))
+    return files_of(out, scene_folder(index))
 
 
 def _finish(source: DatasetSource, copy: Copy, made: int) -> Packed:

@@ -6,7 +6,6 @@ ones, bit for bit.
 """
 
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -28,19 +27,19 @@ FORMAT = "multilight packed view 2"
 SAME = -1
 """In a table: the tile is that of `all` in the same layer and place."""
 
-KINDS = {
-    "all": ("float16", "float32"),
-    "tiles": ("float16", "float32"),
-    "without": ("int32",),
-    "foreground": ("int32",),
-    "alpha": ("float16",),
-    "coverage": ("int32",),
-    "z_depth": ("float32",),
-    "K": ("float64",),
-    "c2w": ("float64",),
-    "conditions": ("float32",),
+ARRAYS: dict[str, tuple[tuple[str, ...], tuple[str | int | None, ...]]] = {
+    "all": (("float16", "float32"), ("lights", "tiles", 3, TILE, TILE)),
+    "tiles": (("float16", "float32"), (None, 3, TILE, TILE)),
+    "without": (("int32",), ("objects", "lights", "tiles")),
+    "foreground": (("int32",), ("objects", "lights", "tiles")),
+    "alpha": (("float16",), (None, TILE, TILE)),
+    "coverage": (("int32",), ("objects", "tiles")),
+    "z_depth": (("float32",), (None, None)),
+    "K": (("float64",), (3, 3)),
+    "c2w": (("float64",), (4, 4)),
+    "conditions": (("float32",), (None, "lights", 3)),
 }
-"""The arrays of a file and their types."""
+"""The arrays of a file, their types and shapes: lengths, what they are the number of, or None for any."""
 KIND_OF = {"F16": np.float16, "F32": np.float32, "F64": np.float64, "I32": np.int32}
 """NumPy's names of the types, by the format's own."""
 
@@ -94,13 +93,13 @@ def pack_view(view: ViewData, record: SceneRecord, number: int) -> PackedView:
     objects, camera = tuple(sorted(view.coverage)), record.views[number]
     peak = max(float(layers.max(initial=0.0)) for layers in view.variants.values())
     kind = np.float16 if peak <= HALF_MAX else np.float32
-    whole = _split(_filled(view.variants[ALL].astype(kind)))
+    whole = _split(view.variants[ALL].astype(kind))
     pool, alpha = _Pool((3, TILE, TILE), kind), _Pool((1, TILE, TILE), np.float16)
     tables: dict[str, NDArray[np.int32]] = {}
     for action, of in (("without", Variant.without), ("foreground", Variant.foreground)):
-        variants = (_split(_filled(view.variants[of(name)].astype(kind))) for name in objects)
+        variants = (_split(view.variants[of(name)].astype(kind)) for name in objects)
         tables[action] = np.stack([pool.numbers(tiles, whole) for tiles in variants])
-    cover = (_split(_filled(view.coverage[name][None, ..., None].astype(np.float16))) for name in objects)
+    cover = (_split(view.coverage[name][None, ..., None].astype(np.float16)) for name in objects)
     coverage = np.stack([alpha.numbers(tiles)[0] for tiles in cover])
     return PackedView(
         lights=view.lights,
@@ -122,7 +121,7 @@ def write_packed(path: Path, view: PackedView) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     # One entry, since safetensors writes several in any order.
     named = {"format": FORMAT, "lights": view.lights, "objects": view.objects}
-    arrays = {name: np.ascontiguousarray(getattr(view, name)) for name in KINDS}
+    arrays = {name: np.ascontiguousarray(getattr(view, name)) for name in ARRAYS}
     path.write_bytes(save(arrays, metadata={"multilight": json.dumps(named)}))
 
 
@@ -203,18 +202,12 @@ class _Pool:
         return np.stack(self._tiles)
 
 
-def _filled(layers: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Lay (L, H, W, C) out as (L, C, Y, X), filled up with zeros to whole tiles."""
+def _split(layers: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Cut (L, H, W, C), filled up with zeros to whole tiles, into (L, T, C, 16, 16)."""
     count, height, width, channels = layers.shape
-    full = np.zeros((count, channels, -(-height // TILE) * TILE, -(-width // TILE) * TILE), layers.dtype)
+    rows, columns = -(-height // TILE), -(-width // TILE)
+    full = np.zeros((count, channels, rows * TILE, columns * TILE), layers.dtype)
     full[..., :height, :width] = layers.transpose(0, 3, 1, 2)
-    return full
-
-
-def _split(full: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Cut (L, C, Y, X) into tiles, a copy: (L, T, C, 16, 16)."""
-    count, channels, height, width = full.shape
-    rows, columns = height // TILE, width // TILE
     cut = full.reshape(count, channels, rows, TILE, columns, TILE).transpose(0, 2, 4, 1, 3, 5)
     return np.array(cut, order="C").reshape(count, rows * columns, channels, TILE, TILE)
 
@@ -229,30 +222,19 @@ def _joined(tiles: NDArray[np.floating], shape: tuple[int, ...]) -> NDArray[np.f
 
 def _fault(view: PackedView) -> str:
     """Name what contradicts itself, or nothing."""
-    if view.z_depth.ndim != 2:
+    if view.z_depth.ndim != 2:  # which tells how many tiles there are
         return f"z_depth has shape {view.z_depth.shape}"
-    count, lights = len(view.objects), len(view.lights)
     rows, columns = (-(-length // TILE) for length in view.z_depth.shape)
-    shapes: Mapping[str, tuple[int | None, ...]] = {
-        "all": (lights, rows * columns, 3, TILE, TILE),
-        "tiles": (None, 3, TILE, TILE),
-        "without": (count, lights, rows * columns),
-        "foreground": (count, lights, rows * columns),
-        "alpha": (None, TILE, TILE),
-        "coverage": (count, rows * columns),
-        "K": (3, 3),
-        "c2w": (4, 4),
-        "conditions": (None, lights, 3),
-    }
-    for name, wanted in shapes.items():
-        shape = getattr(view, name).shape
-        if len(shape) != len(wanted) or any(w is not None and w != s for s, w in zip(shape, wanted, strict=True)):
+    numbers = {"lights": len(view.lights), "objects": len(view.objects), "tiles": rows * columns}
+    for name, (kinds, lengths) in ARRAYS.items():
+        shape, kind = getattr(view, name).shape, str(getattr(view, name).dtype)
+        wanted = [numbers[length] if isinstance(length, str) else length for length in lengths]
+        if len(shape) != len(wanted) or any(w not in (None, s) for s, w in zip(shape, wanted, strict=True)):
             return f"{name} has shape {shape}"
-    for name, kinds in KINDS.items():
-        if (kind := str(getattr(view, name).dtype)) not in kinds:
+        if kind not in kinds:
             return f"{name} is of type {kind}"
     for table, pool in (("without", view.tiles), ("foreground", view.tiles), ("coverage", view.alpha)):
-        numbers = getattr(view, table)
-        if numbers.size and not (numbers.min() >= SAME and numbers.max() < len(pool)):
+        used = getattr(view, table)
+        if used.size and not (used.min() >= SAME and used.max() < len(pool)):
             return f"{table} names tiles that are not there"
     return ""

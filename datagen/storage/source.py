@@ -49,13 +49,15 @@ class DatasetSource:
     """An opened dataset; reads only, so many processes may share one.
 
     `address` is a folder or an fsspec address (`s3://bucket/set`, `memory://set`); `record` is its `dataset.json`;
-    `table` is its index, a row a scene, and `indices` are those scenes, in order. With `on_broken` "skip", scenes that
-    cannot be read are passed over by `scenes` and `passing_over`, and counted in `skipped` (scene index → reason).
+    `table` is its index, a row a scene, of the scenes for which `where` holds; `indices` are these, in order. With
+    `on_broken` "skip", scenes that cannot be read are passed over by `scenes` and `passing_over`, and counted in
+    `skipped` (scene index → reason).
     """
 
     place: Place
     record: DatasetRecord
     table: pl.DataFrame = field(repr=False)
+    where: str | None = None
     on_broken: OnBroken = "raise"
     skipped: dict[int, str] = field(default_factory=dict)
 
@@ -114,13 +116,9 @@ class DatasetSource:
         name = f"{scene_folder(record.index)}/{stated.file}"
         shown = f"{self.address}/{name}"
         with self._remedy_told(), self.local(name) as path:
-            if not path.is_file():
-                raise StoreError(f"{shown} is missing")
-            if path.stat().st_size != stated.bytes:
-                raise StoreError(
-                    f"{shown} is truncated or replaced: {path.stat().st_size} bytes, scene.json states {stated.bytes}"
-                )
             try:
+                if path.is_file() and (size := path.stat().st_size) != stated.bytes:
+                    raise StoreError(f"{path} is truncated or replaced: {size} bytes, scene.json states {stated.bytes}")
                 return read_view(path, (record, number))
             except StoreError as error:
                 raise StoreError(str(error).replace(str(path), shown)) from None
@@ -157,7 +155,7 @@ def open_dataset(address: str | Path, *, where: str | None = None, on_broken: On
     """
     place = find_place(address)
     record = parse_dataset(place.read("dataset.json", MOST_RECORD), f"{place.address}/dataset.json")
-    source = DatasetSource(place, record, index_table([]), on_broken)
+    source = DatasetSource(place, record, index_table([]), where, on_broken)
     table = _index_of(source)
     return replace(source, table=table if where is None else select(table, where))
 

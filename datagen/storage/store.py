@@ -14,10 +14,10 @@ the channels' names: `raw_all`, `raw_all.<light>.R|G|B`, `raw_without_<object>`,
 
 import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import OpenEXR
@@ -26,6 +26,7 @@ from pydantic import ValidationError
 
 from multilight.datagen.errors import StoreError
 from multilight.datagen.storage.layers import GeometryBuffers
+from multilight.datagen.storage.place import find_place
 from multilight.datagen.storage.records import DatasetRecord, SceneRecord
 from multilight.datagen.storage.variants import ALL, RAW, variants_of
 from multilight.scenes.arrays import Float32
@@ -33,12 +34,22 @@ from multilight.scenes.files.inside import OutsideError, held, inside
 from multilight.scenes.files.whole import write_whole
 
 _Record = TypeVar("_Record", SceneRecord, DatasetRecord)
+Channels = dict[str, NDArray[np.generic]]
+"""Planes (H, W) by the name that each has in a file."""
 HEADER = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}  # to be copied: the binding adds to it
 HALF_MAX = 65504.0
-ALWAYS = {f"{name}.{c}" for name, channels in (
-    ("combined", "RGB"), ("normal_world", "XYZ"), ("albedo", "RGB"), ("z_depth", "Z"), ("roughness", "Y"),
-    ("metallic", "Y"), ("environment", "A"),
-) for c in channels} | {"instance_id.ID"}  # fmt: skip
+GEOMETRY: dict[str, tuple[Sequence[str], type[np.generic], type[np.generic]]] = {
+    "z_depth": ("Z", np.float32, np.float32),
+    "normal_world": ("XYZ", np.float16, np.float32),
+    "albedo": ("RGB", np.float16, np.float32),
+    "roughness": ("Y", np.float16, np.float32),
+    "metallic": ("Y", np.float16, np.float32),
+    "instance_id": (("ID",), np.uint32, np.uint16),
+    "environment": ("A", np.float16, np.float32),
+}
+"""Channels of the geometry buffers, the type in the file, and that in memory."""
+ALWAYS = {f"{name}.{c}" for name, (channels, *_) in GEOMETRY.items() for c in channels}
+ALWAYS |= {f"combined.{c}" for c in "RGB"}
 """Channels that every view has."""
 COPIES = ("visible.parquet", "manifest.json")
 """Files that only packed copies and exports of a dataset have."""
@@ -110,9 +121,19 @@ def file_sha256(path: Path) -> str:
 def write_view(path: Path, view: ViewData) -> None:
     """Write one view as a multi-part OpenEXR file; radiance as half float, or float where half would overflow."""
     stored = dict(view.variants) | {RAW + variant: layers for variant, layers in view.raw.items()}
-    parts = [_layers_part(part, view.lights, layers) for part, layers in stored.items()]
-    parts.append(_part("combined", _color_channels("combined", in_half(view.combined))))
-    parts.append(_part("geometry", _geometry_channels(view.geometry, view.coverage)))
+    parts = [
+        _part(
+            part, (_planes(f"{part}.{light}", in_half(layer)) for light, layer in zip(view.lights, layers, strict=True))
+        )
+        for part, layers in stored.items()
+    ]
+    parts.append(_part("combined", [_planes("combined", in_half(view.combined))]))
+    buffers = [
+        _planes(name, getattr(view.geometry, name).astype(kind), channels)
+        for name, (channels, kind, _) in GEOMETRY.items()
+    ]
+    coverage = [_planes(f"coverage_{name}", alpha.astype(np.float16), "A") for name, alpha in view.coverage.items()]
+    parts.append(_part("geometry", buffers + coverage))
     path.parent.mkdir(parents=True, exist_ok=True)
     OpenEXR.File(parts).write(str(path))
 
@@ -141,7 +162,7 @@ def read_view(path: Path, stated: tuple[SceneRecord, int] | None = None) -> View
             groups.setdefault(variant, {})[rest.split(".")[0]] = None
     try:
         lights = tuple(sorted(groups[ALL]))
-        stored = {part: np.stack([_color(channels, f"{part}.{light}") for light in lights]) for part in groups}
+        stored = {part: np.stack([_joined(channels, f"{part}.{light}") for light in lights]) for part in groups}
         return ViewData(
             lights=lights,
             variants={part: layers for part, layers in stored.items() if not part.startswith(RAW)},
@@ -150,8 +171,10 @@ def read_view(path: Path, stated: tuple[SceneRecord, int] | None = None) -> View
                 for name in channels
                 if name.startswith("coverage_")
             },
-            geometry=_geometry(channels),
-            combined=_color(channels, "combined"),
+            geometry=GeometryBuffers(
+                **{name: _joined(channels, name, of, kind) for name, (of, _, kind) in GEOMETRY.items()}
+            ),
+            combined=_joined(channels, "combined"),
             raw={part.removeprefix(RAW): layers for part, layers in stored.items() if part.startswith(RAW)},
         )
     except KeyError as error:
@@ -160,12 +183,12 @@ def read_view(path: Path, stated: tuple[SceneRecord, int] | None = None) -> View
 
 def read_scene(folder: Path) -> SceneRecord:
     """Read `scene.json` of a scene's folder; raises `StoreError` naming the file and the reason."""
-    return parse_scene(_read_bytes(file_inside(folder, "scene.json")), str(folder / "scene.json"))
+    return parse_scene(find_place(folder).read("scene.json", MOST_RECORD), str(folder / "scene.json"))
 
 
 def read_dataset(root: Path) -> DatasetRecord:
     """Read `dataset.json`; raises `StoreError` naming the file and the reason."""
-    return parse_dataset(_read_bytes(file_inside(root, "dataset.json")), str(root / "dataset.json"))
+    return parse_dataset(find_place(root).read("dataset.json", MOST_RECORD), str(root / "dataset.json"))
 
 
 def parse_scene(content: bytes, name: str) -> SceneRecord:
@@ -190,22 +213,6 @@ def scene_indices(root: Path) -> list[int]:
     return sorted(number for number, p in found if number is not None and (p / "scene.json").is_file())
 
 
-def check_record_size(size: int, name: str) -> None:
-    """Raise `StoreError` where a record is larger than any that was written."""
-    if size > MOST_RECORD:
-        raise StoreError(f"{name} holds {size} bytes, a record at most {MOST_RECORD}; it is not read")
-
-
-def _read_bytes(path: Path) -> bytes:
-    try:
-        check_record_size(path.stat().st_size, str(path))
-        return path.read_bytes()
-    except FileNotFoundError:
-        raise StoreError(f"{path} is missing: not a dataset, or not finished") from None
-    except OSError as error:
-        raise StoreError(f"{path} cannot be read: {error}") from None
-
-
 def _parse(content: bytes, name: str, kind: type[_Record]) -> _Record:
     try:
         return kind.from_json(content.decode())
@@ -228,36 +235,13 @@ def in_half(values: Float32) -> NDArray[np.floating]:
     return values.astype(np.float16) if float(values.max(initial=0.0)) <= HALF_MAX else values
 
 
-def _color_channels(prefix: str, image: NDArray[np.floating]) -> dict[str, NDArray[np.generic]]:
-    return {f"{prefix}.{c}": np.ascontiguousarray(image[..., i]) for i, c in enumerate("RGB")}
+def _planes(prefix: str, image: NDArray[np.generic], channels: Sequence[str] = "RGB") -> Channels:
+    planes = image.reshape(*image.shape[:2], len(channels))
+    return {f"{prefix}.{c}": np.ascontiguousarray(planes[..., i]) for i, c in enumerate(channels)}
 
 
-def _part(name: str, channels: Mapping[str, NDArray[np.generic]]) -> OpenEXR.Part:
-    return OpenEXR.Part(dict(HEADER), dict(channels), name)
-
-
-def _layers_part(variant: str, lights: tuple[str, ...], layers: Float32) -> OpenEXR.Part:
-    channels: dict[str, NDArray[np.generic]] = {}
-    for light, layer in zip(lights, layers, strict=True):
-        channels |= _color_channels(f"{variant}.{light}", in_half(layer))
-    return _part(variant, channels)
-
-
-def _geometry_channels(geometry: GeometryBuffers, coverage: Mapping[str, Float32]) -> dict[str, NDArray[np.generic]]:
-    half = np.float16
-    return {
-        "z_depth.Z": geometry.z_depth.astype(np.float32),
-        **{
-            f"normal_world.{c}": np.ascontiguousarray(geometry.normal_world[..., i], dtype=half)
-            for i, c in enumerate("XYZ")
-        },
-        **_color_channels("albedo", geometry.albedo.astype(half)),
-        "roughness.Y": geometry.roughness.astype(half),
-        "metallic.Y": geometry.metallic.astype(half),
-        "instance_id.ID": geometry.instance_id.astype(np.uint32),
-        "environment.A": geometry.environment.astype(half),
-        **{f"coverage_{name}.A": alpha.astype(half) for name, alpha in coverage.items()},
-    }
+def _part(name: str, groups: Iterable[Channels]) -> OpenEXR.Part:
+    return OpenEXR.Part(dict(HEADER), {name: plane for group in groups for name, plane in group.items()}, name)
 
 
 def check_header(path: Path, record: SceneRecord, number: int) -> None:
@@ -296,7 +280,7 @@ def _header(path: Path) -> dict[str, tuple[int, int]]:
     return found
 
 
-def _read_channels(path: Path) -> dict[str, NDArray[np.generic]]:
+def _read_channels(path: Path) -> Channels:
     try:
         parts = OpenEXR.File(str(path), separate_channels=True).parts
         pixels = {name: channel.pixels for part in parts for name, channel in part.channels.items()}
@@ -308,17 +292,6 @@ def _read_channels(path: Path) -> dict[str, NDArray[np.generic]]:
     return pixels
 
 
-def _color(channels: Mapping[str, NDArray[np.generic]], prefix: str) -> Float32:
-    return np.stack([channels[f"{prefix}.{c}"] for c in "RGB"], axis=-1).astype(np.float32)
-
-
-def _geometry(channels: Mapping[str, NDArray[np.generic]]) -> GeometryBuffers:
-    return GeometryBuffers(
-        z_depth=channels["z_depth.Z"].astype(np.float32),
-        normal_world=np.stack([channels[f"normal_world.{c}"] for c in "XYZ"], axis=-1).astype(np.float32),
-        albedo=_color(channels, "albedo"),
-        roughness=channels["roughness.Y"].astype(np.float32),
-        metallic=channels["metallic.Y"].astype(np.float32),
-        instance_id=channels["instance_id.ID"].astype(np.uint16),
-        environment=channels["environment.A"].astype(np.float32),
-    )
+def _joined(found: Channels, prefix: str, channels: Sequence[str] = "RGB", kind: Any = np.float32) -> NDArray[Any]:
+    planes = [found[f"{prefix}.{c}"] for c in channels]
+    return (planes[0] if len(planes) == 1 else np.stack(planes, axis=-1)).astype(kind)

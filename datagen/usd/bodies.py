@@ -70,21 +70,18 @@ def _bind(
 
 def _describe(prim: Any, body: Body) -> None:
     """Write what USD has no word for: the body's part in the scene, and what its triangles stand for."""
-    words: dict[str, tuple[Any, Any]] = {
-        "role": (_TYPES.Token, body.role),
-        "category": (_TYPES.String, body.category),
-        "insertable": (_TYPES.Bool, body.insertable),
-        "shape": (_TYPES.Token, body.geometry.shape),
-    }
+    set_own(prim, "role", _TYPES.Token, body.role)
+    set_own(prim, "category", _TYPES.String, body.category)
+    set_own(prim, "insertable", _TYPES.Bool, body.insertable)
+    set_own(prim, "shape", _TYPES.Token, body.geometry.shape)
     match body.geometry:
         case Sphere() as shape:
-            words["radius"] = (_TYPES.Double, shape.radius)
+            set_own(prim, "radius", _TYPES.Double, shape.radius)
         case Rectangle() as shape:
-            words["size"] = (_TYPES.Double2, Gf.Vec2d(shape.width, shape.height))
+            set_own(prim, "size", _TYPES.Double2, Gf.Vec2d(shape.width, shape.height))
         case MeshAsset() as shape:
-            words |= {"asset": (_TYPES.String, shape.asset), "meshSha256": (_TYPES.String, shape.mesh_sha256)}
-    for name, (kind, value) in words.items():
-        set_own(prim, name, kind, value)
+            set_own(prim, "asset", _TYPES.String, shape.asset)
+            set_own(prim, "meshSha256", _TYPES.String, shape.mesh_sha256)
 
 
 def credit(prim: Any, asset: AssetCredit) -> None:

@@ -1,52 +1,42 @@
 """What a lighting condition sets: the colour and strength of each light, set anew in every variant."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from pxr import Gf
 
 from multilight.lights.photometry.radiometry import LUMINOUS_EFFICACY
+from multilight.scenes.arrays import Float64
 from multilight.scenes.frozen import Rgb
 
+Strength = tuple[str, Callable[[Float64], None]]
+"""A light's name, and what authors its strength for a gain (3,) in the current edit target."""
 
-@dataclass(frozen=True)
-class LampStrength:
-    """A UsdLux light: `level` is its intensity attribute at each channel, in the unit of that light."""
 
-    light: str
-    intensity: Any
-    color: Any
-    level: Rgb
+def lamp_strength(light: str, made: Any, level: Float64) -> Strength:
+    """Vary a UsdLux light: `level` (3,) is its intensity attribute at each channel, in the unit of that light."""
+    intensity, color = made.CreateIntensityAttr(), made.CreateColorAttr()
 
-    def set_gain(self, gain: Sequence[float]) -> None:
-        """Author colour and intensity for a gain (R, G, B) in the current edit target."""
-        amount = np.array(self.level) * np.array(gain, np.float64)
+    def set_gain(gain: Float64) -> None:
+        amount = level * gain
         peak = float(amount.max())
-        self.intensity.Set(peak)
-        self.color.Set(Gf.Vec3f(*(amount / peak if peak > 0 else np.ones(3)).tolist()))
+        intensity.Set(peak)
+        color.Set(Gf.Vec3f(*(amount / peak if peak > 0 else np.ones(3)).tolist()))
+
+    return light, set_gain
 
 
-@dataclass(frozen=True)
-class GlowStrength:
-    """A glowing material: its emissive colour [cd/m²], or the scale of the picture that feeds it."""
+def glow_strength(light: str, target: Any, radiance: Rgb, *, textured: bool) -> Strength:
+    """Vary a glowing material: `target` is its emissive colour [cd/m²], or the scale of the picture that feeds it."""
 
-    light: str
-    target: Any
-    level: Rgb
-    textured: bool
+    def set_gain(gain: Float64) -> None:
+        amount = (photometric(radiance) * gain).tolist()
+        target.Set(Gf.Vec4f(*amount, 1.0) if textured else Gf.Vec3f(*amount))
 
-    def set_gain(self, gain: Sequence[float]) -> None:
-        """Author the colour for a gain (R, G, B) in the current edit target."""
-        red, green, blue = (float(v) for v in np.array(self.level) * np.array(gain, np.float64))
-        self.target.Set(Gf.Vec4f(red, green, blue, 1.0) if self.textured else Gf.Vec3f(red, green, blue))
+    return light, set_gain
 
 
-Strength = LampStrength | GlowStrength
-
-
-def photometric(amount: Rgb) -> Rgb:
-    """Convert a coloured radiometric quantity to its photometric one, channel by channel."""
-    red, green, blue = (LUMINOUS_EFFICACY * value for value in amount)
-    return red, green, blue
+def photometric(amount: Rgb) -> Float64:
+    """Convert a coloured radiometric quantity to its photometric one, channel by channel, (3,)."""
+    return LUMINOUS_EFFICACY * np.array(amount, np.float64)

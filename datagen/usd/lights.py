@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from pxr import Gf, Sdf, UsdGeom, UsdLux
 
 from multilight.datagen.usd.files import Files
-from multilight.datagen.usd.gains import LampStrength, photometric
+from multilight.datagen.usd.gains import Strength, lamp_strength, photometric
 from multilight.datagen.usd.layout import own, set_own
 from multilight.lights.photometry.directions import spot_frame
 from multilight.lights.spec import AreaLight, EmissiveLight, EnvironmentLight, Light, PointLight, SpotLight, SunLight
@@ -21,7 +21,7 @@ POINT_RADIUS = 0.001
 """Radius [m] that a light without size has for renderers that know no points; its power does not depend on it."""
 
 
-def add_light(stage: Any, path: str, light: Light, files: Files) -> LampStrength:
+def add_light(stage: Any, path: str, light: Light, files: Files) -> Strength:
     """Write a light other than an emissive one, its strength left to the variants; return what they set."""
     match light:
         case EnvironmentLight():
@@ -45,10 +45,7 @@ def add_light(stage: Any, path: str, light: Light, files: Files) -> LampStrength
         case EmissiveLight():
             raise TypeError(f"light {light.name!r} is a material, not a UsdLux light")
     _describe(made.GetPrim(), light)
-    strength = _per_luminance(light)
-    red, green, blue = photometric(light.amount)
-    level = (red * strength, green * strength, blue * strength)
-    return LampStrength(light.name, made.CreateIntensityAttr(), made.CreateColorAttr(), level)
+    return lamp_strength(light.name, made, photometric(light.amount) * _per_luminance(light))
 
 
 def add_glow(stage: Any, path: str, light: EmissiveLight, part: str) -> None:

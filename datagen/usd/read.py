@@ -4,6 +4,7 @@ The specifications that lie in the stage's metadata are believed, to the last di
 same; what was changed since counts as it is now.
 """
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,15 +15,18 @@ from pydantic import ValidationError
 
 from multilight.datagen.errors import UserError
 from multilight.datagen.usd import layout
-from multilight.datagen.usd.agreement import agree
 from multilight.datagen.usd.read_bodies import BodyReader
 from multilight.datagen.usd.read_lights import read_lights
 from multilight.lights.spec import LightRig
 from multilight.scenes.assets.formats.usd.names import OWN, RIG, VARIANTS
 from multilight.scenes.assets.formats.usd.read import open_stage, world_from_stage
 from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.frozen import Frozen
 from multilight.scenes.poses import matrix4
 from multilight.scenes.spec import Camera, SceneSpec
+
+RELATIVE, ABSOLUTE = 1e-5, 1e-6
+"""How far numbers may be apart that single precision has kept."""
 
 
 @dataclass(frozen=True)
@@ -115,3 +119,22 @@ def _camera(prim: Any, pose: Any, path: Path) -> Camera:
         aperture_radius=focal / 10 * unit / (2 * stop) if stop > 0 else 0.0,
         focus_distance=float(camera.GetFocusDistanceAttr().Get()) * unit,
     )
+
+
+def agree(read: Frozen, written: Frozen) -> bool:
+    """Tell whether all numbers agree within 1e-5 (rotations modulo 2 pi, directions by where they point)."""
+    return _same(read.model_dump(mode="json"), written.model_dump(mode="json"), "")
+
+
+def _same(a: Any, b: Any, key: str) -> bool:
+    if isinstance(a, dict) and isinstance(b, dict):
+        return a.keys() == b.keys() and all(_same(a[k], b[k], k) for k in a)
+    if isinstance(a, list) and isinstance(b, list):
+        if key == "direction":
+            a, b = (list(np.array(v) / np.linalg.norm(v)) for v in (a, b))
+        return len(a) == len(b) and all(_same(x, y, "") for x, y in zip(a, b, strict=True))
+    if isinstance(a, bool) or isinstance(b, bool) or not isinstance(a, int | float) or not isinstance(b, int | float):
+        return bool(a == b)
+    if key in ("rotation", "roll"):
+        return abs(math.remainder(a - b, 2 * math.pi)) <= RELATIVE
+    return math.isclose(a, b, rel_tol=RELATIVE, abs_tol=ABSOLUTE)

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pxr import Sdf, Usd, UsdGeom
 
 from multilight.datagen.backends.parts import body_parts, glowing_parts
@@ -85,10 +86,10 @@ def _add_variants(world: Any, record: SceneRecord, strengths: Sequence[Strength]
     for condition in (plain, *record.conditions):
         variants.AddVariant(condition.name)
         variants.SetVariantSelection(condition.name)
-        gains = dict(zip(lights, gain_matrix(lights, condition).tolist(), strict=True))
+        gains = dict(zip(lights, gain_matrix(lights, condition).astype(np.float64), strict=True))
         with variants.GetVariantEditContext():
-            for strength in strengths:
-                strength.set_gain(gains[strength.light])
+            for light, set_gain in strengths:
+                set_gain(gains[light])
             layout.set_own(world, "exposureEv", Sdf.ValueTypeNames.Double, condition.exposure_ev)
     variants.SetVariantSelection(RIG)
 

@@ -2,15 +2,13 @@
 
 from pathlib import Path
 
+from pxr import Usd, UsdValidation
+
 from multilight.datagen.errors import UserError
 from multilight.datagen.production.library import open_library
 from multilight.datagen.storage.copies import Report, making
-from multilight.datagen.storage.manifest import scene_part
-from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.source import DatasetSource
-from multilight.datagen.usd.check import stage_faults
 from multilight.datagen.usd.stage import STAGE, write_stage
-from multilight.scenes.assets.library import AssetLibrary
 
 
 def export_usd(
@@ -30,18 +28,20 @@ def export_usd(
     with making(out, "usd", source, {}) as copy:
         for done, record in enumerate(records):
             report(done, total)
-            name, part = f"scene_{record.index:06d}", scene_part(source, record.index)
-            if not copy.keeps(name, part):
-                with copy.filling_part(name, part) as folder:
-                    _write(record, library, folder)
+            name = f"scene_{record.index:06d}"
+            if not copy.keeps(name, record.index):
+                with copy.filling_part(name, record.index) as folder:
+                    if faults := stage_faults(write_stage(record, library, folder)):
+                        raise UserError(f"scene {record.index}: its stage does not pass USD's validators: {faults[0]}")
             made.append(out / name / STAGE)
         copy.finish()
     report(total, total)
     return made
 
 
-def _write(record: SceneRecord, library: AssetLibrary, folder: Path) -> None:
-    """Write one scene and check it."""
-    path = write_stage(record, library, folder)
-    if faults := stage_faults(path):
-        raise UserError(f"scene {record.index}: its stage does not pass USD's validators: {faults[0]}")
+def stage_faults(path: Path) -> list[str]:
+    """Return what USD's own validators (what `usdchecker` runs) find wrong with a stage, one line each."""
+    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    found = UsdValidation.ValidationContext(validators).Validate(Usd.Stage.Open(str(path)))
+    places = [", ".join(str(s.GetPrim().GetPath()) for s in error.GetSites() if s.IsPrim()) for error in found]
+    return [f"{e.GetName()}: {e.GetMessage()} {place}".strip() for e, place in zip(found, places, strict=True)]

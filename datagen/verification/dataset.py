@@ -136,14 +136,16 @@ def check_files(
         if told := _file_fault(place, f"{folder}/{name}", sizes, name, size):
             faults.append(Fault(index, number, "files", told))
             unread |= set() if number is None else {number}
-        elif number is None and name == PREVIEW and record.preview_sha256:
-            if hashlib.sha256(place.read(f"{folder}/{name}", MOST_RECORD)).hexdigest() != record.preview_sha256:
-                faults.append(Fault(index, None, "files", f"{name} was changed: its hash is not the one in scene.json"))
+            continue
+        stated, found = "", ""
+        if name == PREVIEW and (stated := record.preview_sha256):
+            found = hashlib.sha256(place.read(f"{folder}/{name}", MOST_RECORD)).hexdigest()
         elif number is not None and contents:
             with place.local(f"{folder}/{name}") as path:
-                if file_sha256(path) != record.views[number].file_sha256:
-                    told = f"{name} was changed: its hash is not the one in scene.json"
-                    faults.append(Fault(index, number, "files", told))
+                stated, found = record.views[number].file_sha256, file_sha256(path)
+        if found != stated:
+            told = f"{name} was changed: its hash is not the one in scene.json"
+            faults.append(Fault(index, number, "files", told))
     for name in sorted(set(sizes or ()) - set(wanted) - {"scene.json", PREVIEW, "views"}) if extras else ():
         faults.append(Fault(index, None, "files", f"{folder}/{name} is no file of this dataset; remove it"))
     return Files(record, faults, unread)

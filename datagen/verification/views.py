@@ -231,13 +231,12 @@ def verify_exposure(record: SceneRecord, number: int, seen: Brightness) -> list[
     """Check that no lighting condition leaves a view black, blown out or with fireflies."""
     faults = []
     for condition, median, high in zip(record.conditions, seen.median, seen.high, strict=True):
-        gain = 2.0**condition.exposure_ev
+        gain, found = 2.0**condition.exposure_ev, []
         if high * gain < DARK:
-            message = f"black, the brightest twentieth reaches {high * gain:.4f} (least {DARK})"
-            faults.append(Fault(record.index, number, "exposure", f"condition {condition.name}: {message}"))
+            found.append(f"black, the brightest twentieth reaches {high * gain:.4f} (least {DARK})")
         if median * gain > BRIGHT:
-            message = f"blown out, median luminance {median * gain:.2f} (most {BRIGHT})"
-            faults.append(Fault(record.index, number, "exposure", f"condition {condition.name}: {message}"))
+            found.append(f"blown out, median luminance {median * gain:.2f} (most {BRIGHT})")
+        faults += [Fault(record.index, number, "exposure", f"condition {condition.name}: {m}") for m in found]
     if seen.spike * 2.0 ** record.conditions[0].exposure_ev > 1.0:
         message = f"a pixel brighter than white is over {FIREFLY:.0f} times brighter than all its neighbours"
         faults.append(Fault(record.index, number, "fireflies", message))

@@ -1,4 +1,4 @@
-"""A short run of `benchmarks/faults.py` with fixed seeds: damage x commands, a kill, a full disk, closed streams."""
+"""A short run of `tests/datagen/faults.py` with fixed seeds: damage x commands, a kill, a full disk, closed streams."""
 
 import random
 import signal
@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from benchmarks import faults
-from benchmarks.faults import DAMAGES, DATASET_FILES, Bench, bad
 from multilight.scenes.assets.cache import tell_thrown_away
+from tests.datagen import faults
+from tests.datagen.faults import DAMAGES, DATASET_FILES, Bench, bad
 
 
 @pytest.fixture(scope="module")

@@ -12,9 +12,10 @@ import pytest
 from multilight.datagen.cli import main
 from multilight.datagen.errors import StoreError, UserError
 from multilight.datagen.files.locks import locked
-from multilight.datagen.storage.manifest import JOURNAL, MANIFEST, read_manifest
+from multilight.datagen.storage.manifest import JOURNAL, MANIFEST, read_manifest, remedy
 from multilight.datagen.storage.training_source import open_training
 from multilight.datagen.verification.copies import copy_at, verify_copy
+from tests.datagen.chain import chain
 from tests.datagen.servers import in_memory
 
 EXPORTS: dict[str, list[str]] = {
@@ -215,6 +216,53 @@ def test_another_datasets_is_refused(kind: str, copy: Path, other: Path, capsys:
     assert {fault.check for fault in verify_copy(copy, quick=True)} == set()
     assert main(["verify", str(copy), "--quick", "--source", str(other)]) == 1
     assert "another dataset" in capsys.readouterr().out
+
+
+OTHERS = {
+    "dtc-multilight": ["--conditions", "2"],
+    "webdataset": ["--pairs", "2"],
+    "nerfstudio": ["--conditions", "2"],
+    "colmap": ["--conditions", "2"],
+    "luxremix": ["--tar"],
+}
+
+
+def test_other_options_are_refused(
+    kind: str, copy: Path, spheres_dataset: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What a run would leave out of what is there, or leave as it is, is not kept in silence."""
+    before = content(copy)
+    for words in ([] if kind == "packed" else ["--where", "index = 0"], OTHERS.get(kind, [])):
+        if words:
+            assert main([*EXPORTS[kind], str(spheres_dataset), "--out", str(copy), *words]) == 1
+            assert f"was made with {words[0].strip('-')} = " in capsys.readouterr().err
+    assert content(copy) == before
+
+
+def test_scenes_that_are_gone_are_refused(
+    kind: str, copy: Path, spheres_copy: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.rmtree(spheres_copy / "scenes" / "000001")
+    chain(spheres_copy)
+    assert make(kind, spheres_copy, copy) == 1
+    assert "holds scene 1, which" in capsys.readouterr().err
+
+
+def test_no_scene_is_an_error(
+    kind: str, spheres_dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if kind == "packed":
+        pytest.skip("it takes no --where")
+    words = ["--out", str(tmp_path / "out"), "--where", "kind = 'moon'"]
+    assert main([*EXPORTS[kind], str(spheres_dataset), *words]) == 1
+    assert capsys.readouterr().err.endswith("holds no finished scene for which kind = 'moon'\n")
+    assert not (tmp_path / "out").exists()
+
+
+def test_where_is_part_of_the_remedy(spheres_dataset: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert main([*EXPORTS["nerfstudio"], str(spheres_dataset), "--out", str(out), "--where", "index = 0"]) == 0
+    assert "--conditions 1 --points 200 --where 'index = 0'" in remedy(read_manifest(out), str(out))
 
 
 def test_two_at_once(kind: str, copy: Path, spheres_dataset: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,7 +11,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from multilight.datagen.backends.analytic.lighting import check_lights, exitance_share
+from multilight.datagen.backends.analytic.lighting import SurfacePoints, check_lights, exitance_share
 from multilight.datagen.backends.analytic.shapes import Ball, Shape, column, dot, shapes_of
 from multilight.datagen.backends.protocol import BackendError, RenderJob, split_variant, view_camera
 from multilight.datagen.storage.layers import GeometryBuffers, LayerStack
@@ -19,6 +19,8 @@ from multilight.lights.spec import EmissiveLight, EnvironmentLight, Light
 from multilight.scenes.arrays import Float32, Float64
 from multilight.scenes.cameras.pinhole import pixel_rays
 from multilight.scenes.spec import Camera
+
+Traced = tuple[NDArray[np.uint16], Float64, Float64]
 
 
 class AnalyticBackend:
@@ -61,9 +63,7 @@ def _check_outside(camera: Camera, shapes: Sequence[Shape]) -> None:
             raise BackendError(f"the camera at {eye.round(3).tolist()} is inside body {shape.name!r}: move it out")
 
 
-def _trace(
-    camera: Camera, shapes: Sequence[Shape], offset: tuple[float, float]
-) -> tuple[NDArray[np.uint16], Float64, Float64]:
+def _trace(camera: Camera, shapes: Sequence[Shape], offset: tuple[float, float]) -> Traced:
     """Follow one ray a pixel: ids (N,) with 0 for nothing, distances (N,), unit directions (3, N); N = H W."""
     _, rays = pixel_rays(camera, offset)
     directions = np.ascontiguousarray(rays.reshape(-1, 3).T)
@@ -78,21 +78,18 @@ def _trace(
 
 
 def _surface(
-    camera: Camera,
-    shapes: Sequence[Shape],
-    traced: tuple[NDArray[np.uint16], Float64, Float64],
-    chosen: NDArray[np.intp],
-) -> tuple[Float64, Float64, Float64]:
-    """Return points, normals towards the camera and albedo, (3, M) each, of the chosen rays."""
+    camera: Camera, shapes: Sequence[Shape], traced: Traced, chosen: NDArray[np.intp]
+) -> tuple[SurfacePoints, Float64]:
+    """Return what the chosen rays hit, and its albedo (3, M)."""
     ids, nearest, directions = traced
     owners, towards = ids[chosen], directions[:, chosen]
-    points = column(camera.pose()[:3, 3]) + nearest[chosen] * towards
-    normals, albedo = np.zeros_like(points), np.zeros_like(points)
+    places = column(camera.pose()[:3, 3]) + nearest[chosen] * towards
+    normals, albedo = np.zeros((2, *places.shape))
     for shape in shapes:
         mine = owners == shape.number
-        normals[:, mine], albedo[:, mine] = shape.normal(points[:, mine]), column(shape.material.base_color)
+        normals[:, mine], albedo[:, mine] = shape.normal(places[:, mine]), column(shape.material.base_color)
     normals *= np.where(dot(normals, towards) > 0.0, -1.0, 1.0)
-    return points, normals, albedo
+    return SurfacePoints(places, normals, owners), albedo
 
 
 def _sample_grid(
@@ -112,14 +109,12 @@ def _sample_grid(
         hit = traced[0] > 0 if only is None else traced[0] == only
         chosen = np.flatnonzero(hit)
         seen += hit
-        points, normals, albedo = _surface(camera, shapes, traced, chosen)
-        owners = traced[0][chosen]
+        points, albedo = _surface(camera, shapes, traced, chosen)
         for layer, light in zip(total, lights, strict=True):
-            share = exitance_share(light, shapes, points, normals, owners)
-            layer[:, chosen] += column(light.amount) * albedo * share
+            layer[:, chosen] += column(light.amount) * albedo * exitance_share(light, shapes, points)
             if isinstance(light, EmissiveLight):
                 glowing = [shape.number for shape in shapes if shape.name == light.body]
-                layer[:, chosen] += column(light.radiance) * np.isin(owners, glowing)
+                layer[:, chosen] += column(light.radiance) * np.isin(points.owners, glowing)
             elif isinstance(light, EnvironmentLight) and only is None:
                 layer += column(light.radiance) * ~hit
     scale = 1.0 / side**2
@@ -132,14 +127,14 @@ def _geometry(camera: Camera, shapes: Sequence[Shape], environment: Float32) -> 
     traced = _trace(camera, shapes, (0.5, 0.5))
     ids, nearest, directions = traced
     chosen = np.flatnonzero(ids)
-    _, normals, albedo = _surface(camera, shapes, traced, chosen)
+    points, albedo = _surface(camera, shapes, traced, chosen)
     image = (camera.height, camera.width)
     roughness = np.zeros(1 + max((shape.number for shape in shapes), default=0), np.float32)
     for shape in shapes:
         roughness[shape.number] = shape.material.roughness
     depth, vectors = np.zeros(ids.size, np.float32), np.zeros((2, ids.size, 3), np.float32)
     depth[chosen] = nearest[chosen] * dot(-camera.pose()[:3, 2], directions[:, chosen])
-    vectors[0, chosen], vectors[1, chosen] = normals.T, albedo.T
+    vectors[0, chosen], vectors[1, chosen] = points.normals.T, albedo.T
     return GeometryBuffers(
         z_depth=depth.reshape(image),
         normal_world=vectors[0].reshape(*image, 3),

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,28 @@ from multilight.datagen.backends.protocol import BackendError
 from multilight.lights.spec import EmissiveLight, EnvironmentLight, Light, LightRig, PointLight, SpotLight, SunLight
 from multilight.scenes.arrays import Float64
 from multilight.scenes.spec import SceneSpec, Sphere
+
+
+@dataclass(frozen=True)
+class SurfacePoints:
+    """Points on surfaces: `places`, `normals` (3, N), metres and unit vectors towards the camera; `owners` (N,), the
+    instance id of the body each lies on."""
+
+    places: Float64
+    normals: Float64
+    owners: NDArray[np.uint16]
+
+    def directions_to(self, place: Float64) -> tuple[Float64, Float64]:
+        """Return unit vectors (3, N) to a place (3, 1), and its distances (N,)."""
+        offsets = place - self.places
+        distance = np.sqrt(dot(offsets, offsets))
+        return offsets / distance, distance
+
+    def form_factor_of(self, shape: Shape) -> Float64:
+        """Return the fraction of each point's hemisphere, weighted by its cosine, that another body fills, (N,)."""
+        factor, other = np.zeros(self.owners.size), self.owners != shape.number
+        factor[other] = shape.form_factor(self.places[:, other], self.normals[:, other])
+        return factor
 
 
 def check_lights(rig: LightRig, scene: SceneSpec) -> None:
@@ -36,106 +59,58 @@ def check_lights(rig: LightRig, scene: SceneSpec) -> None:
         raise BackendError(f"light {light.name!r} has {reason}; use the renderer cycles for it")
 
 
-def exitance_share(
-    light: Light, shapes: Sequence[Shape], points: Float64, normals: Float64, owners: NDArray[np.uint16]
-) -> Float64:
+def exitance_share(light: Light, shapes: Sequence[Shape], points: SurfacePoints) -> Float64:
     """Return irradiance / pi for a light of unit colour: times albedo and colour it is the outgoing radiance.
 
-    points, normals (3, N): positions in metres and unit normals towards the camera; owners (N,): the instance
-    id of the body each lies on. Returns (N,) in the unit that makes radiance from the light's quantity:
+    Returns (N,) in the unit that makes radiance from the light's quantity:
 
     - sun: E cos(theta) / pi; point: I cos(theta) / (pi d^2); spot: the same times its fall-off.
     - uniform environment: 1 minus the other bodies' form factors, without spheres whose centre is behind a
       rectangle. Exact where bodies do not overlap as seen from the point; where they do, the overlap is counted
       twice, down to zero and no further.
-    - glowing sphere: its form factor, horizon included; hidden as a whole where its centre is hidden.
+    - glowing sphere: its form factor, horizon included; hidden as a whole where its centre is hidden, zero where it has
+      been removed.
     """
     match light:
         case SunLight():
-            towards = -column(light.direction) / math.hypot(*light.direction)
-            share = np.maximum(dot(towards, normals), 0.0) / math.pi
-            _darken(share, shapes, points, np.broadcast_to(towards, points.shape), np.inf, owners)
+            towards = np.broadcast_to(-column(light.direction) / math.hypot(*light.direction), points.places.shape)
+            share = np.maximum(dot(towards, points.normals), 0.0) / math.pi
+            _darken(share, shapes, points, towards, np.inf)
         case PointLight() | SpotLight():
-            share = _from_point(light, shapes, points, normals, owners)
+            offset = column(light.position) - points.places
+            towards, distance = points.directions_to(column(light.position))
+            share = np.maximum(dot(towards, points.normals), 0.0) / (math.pi * dot(offset, offset))
+            if isinstance(light, SpotLight):
+                axis = column(light.direction) / math.hypot(*light.direction)
+                share *= spot_falloff(-dot(axis, towards), light.half_angle, light.blend)
+            _darken(share, shapes, points, towards, distance)
         case EnvironmentLight():
-            share = _from_environment(shapes, points, normals, owners)
+            share = np.ones(points.owners.size)
+            plates = [shape for shape in shapes if isinstance(shape, Plate)]
+            for shape in shapes:
+                blocked = points.form_factor_of(shape)
+                if isinstance(shape, Ball):
+                    _darken(blocked, plates, points, *points.directions_to(shape.centre))
+                share -= blocked
+            share = np.maximum(share, 0.0)
         case EmissiveLight():
-            share = _from_glow(light, shapes, points, normals, owners)
+            share = np.zeros(points.owners.size)
+            source = next((shape for shape in shapes if shape.name == light.body), None)
+            if isinstance(source, Ball):
+                share = points.form_factor_of(source)
+                others = [shape for shape in shapes if shape is not source]
+                _darken(share, others, points, *points.directions_to(source.centre))
         case _:
             raise BackendError(f"light kind {light.kind!r} has no closed form in the analytic renderer")
     return share
 
 
-def _from_environment(
-    shapes: Sequence[Shape], points: Float64, normals: Float64, owners: NDArray[np.uint16]
-) -> Float64:
-    """Return the fraction of the hemisphere, weighted by its cosine, that sees a uniform environment, (N,)."""
-    share = np.ones(points.shape[1])
-    plates = [shape for shape in shapes if isinstance(shape, Plate)]
-    for shape in shapes:
-        blocked = np.zeros(points.shape[1])
-        other = np.flatnonzero(owners != shape.number)
-        blocked[other] = shape.form_factor(points[:, other], normals[:, other])
-        if isinstance(shape, Ball):
-            to_centre = shape.centre - points
-            distance = np.sqrt(dot(to_centre, to_centre))
-            _darken(blocked, plates, points, to_centre / distance, distance, owners)
-        share -= blocked
-    return np.maximum(share, 0.0)
-
-
-def _from_point(
-    light: PointLight | SpotLight,
-    shapes: Sequence[Shape],
-    points: Float64,
-    normals: Float64,
-    owners: NDArray[np.uint16],
-) -> Float64:
-    """Return irradiance / pi from a point of unit intensity, (N,)."""
-    to_light = column(light.position) - points
-    distance2 = dot(to_light, to_light)
-    distance = np.sqrt(distance2)
-    towards = to_light / distance
-    share = np.maximum(dot(towards, normals), 0.0) / (math.pi * distance2)
-    if isinstance(light, SpotLight):
-        axis = column(light.direction) / math.hypot(*light.direction)
-        share *= spot_falloff(-dot(axis, towards), light.half_angle, light.blend)
-    _darken(share, shapes, points, towards, distance, owners)
-    return share
-
-
-def _from_glow(
-    light: EmissiveLight,
-    shapes: Sequence[Shape],
-    points: Float64,
-    normals: Float64,
-    owners: NDArray[np.uint16],
-) -> Float64:
-    """Return irradiance / pi from a sphere of unit radiance, (N,); zero where it has been removed."""
-    share = np.zeros(points.shape[1])
-    source = next((shape for shape in shapes if shape.name == light.body), None)
-    if not isinstance(source, Ball):
-        return share
-    lit = owners != source.number
-    share[lit] = source.form_factor(points[:, lit], normals[:, lit])
-    to_light = source.centre - points
-    distance = np.sqrt(dot(to_light, to_light))
-    others = [shape for shape in shapes if shape is not source]
-    _darken(share, others, points, to_light / distance, distance, owners)
-    return share
-
-
 def _darken(
-    share: Float64,
-    shapes: Sequence[Shape],
-    points: Float64,
-    towards: Float64,
-    distance: Float64 | float,
-    owners: NDArray[np.uint16],
+    share: Float64, shapes: Sequence[Shape], points: SurfacePoints, towards: Float64, distance: Float64 | float
 ) -> None:
     """Set `share` to zero, in place, where a body other than the point's own stands before the light."""
     exposed = np.flatnonzero(share > 0.0)
-    start, direction, own = points[:, exposed], towards[:, exposed], owners[exposed]
+    start, direction, own = points.places[:, exposed], towards[:, exposed], points.owners[exposed]
     reach = distance if isinstance(distance, float) else distance[exposed]
     hidden = np.zeros(exposed.size, np.bool_)
     for shape in shapes:

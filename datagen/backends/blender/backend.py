@@ -1,8 +1,8 @@
 """`BlenderBackend`: one job in, one `LayerStack` out."""
 
 import contextlib
-from collections.abc import Iterator
-from typing import ClassVar, Self
+from collections.abc import Iterator, Sequence
+from typing import Any, ClassVar, Self
 
 import bpy
 import numpy as np
@@ -19,6 +19,7 @@ from multilight.scenes.spec import Camera, SceneSpec
 
 _NOTHING = 1e9
 """Cycles writes 1e10 metres where a ray hits nothing."""
+RAYS = ("camera", "diffuse", "glossy", "transmission", "shadow", "volume_scatter")
 
 
 class BlenderBackend:
@@ -35,7 +36,7 @@ class BlenderBackend:
         self._library = library
         self._key: tuple[SceneSpec, LightRig, RenderSettings] | None = None
         self._seeds = 0
-        self._synced: SyncedScene | None = None
+        self.synced: SyncedScene | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -44,37 +45,35 @@ class BlenderBackend:
         if BlenderBackend._holder is self:
             bpy.ops.wm.read_factory_settings(use_empty=True)
             BlenderBackend._holder = None
-        self._key = self._synced = None
+        self._key = self.synced = None
 
     def render(self, job: RenderJob) -> LayerStack:
         """Render one job; raises `BackendError` with the value and the remedy."""
         action, name = split_variant(job.scene, job.variant)
         camera = view_camera(job)
-        synced = self._sync(job)
+        synced = self.sync(job)
         place_camera(camera)
         # One seed for all variants of a view: pixels that the object does not touch come out the same.
         bpy.context.scene.cycles.seed = (self._seeds + job.view) % 2**31
-        match action:
-            case "without":
-                assert name is not None
-                with _hidden(synced, name):
-                    return _stack(_beauty(synced, job.settings), job.rig)
-            case "foreground":
-                assert name is not None
-                return _render_foreground(synced, job, name)
-            case _:
-                passes = _beauty(synced, job.settings)
-                return _stack(passes, job.rig, geometry=_geometry(camera, passes))
+        if name is None:
+            passes = _beauty(synced, job.settings)
+            return _stack(passes, job.rig, geometry=_geometry(camera, passes))
+        if action == "foreground":
+            return _render_foreground(synced, job, name)
+        with hidden(synced, name):
+            return _stack(_beauty(synced, job.settings), job.rig)
 
-    def _sync(self, job: RenderJob) -> SyncedScene:
+    def sync(self, job: RenderJob, *, keep: bool = True) -> SyncedScene:
+        """Have the job's scene in Blender; whoever goes on to change it does not `keep` it for the next job."""
         key = (job.scene, job.rig, job.settings)
-        if self._synced is None or BlenderBackend._holder is not self or key != self._key:
+        if self.synced is None or BlenderBackend._holder is not self or key != self._key:
             self._key, BlenderBackend._holder = None, self
-            self._synced = SyncedScene(job.scene, job.rig, self._library)
+            self.synced = SyncedScene(job.scene, job.rig, self._library)
             configure(job.settings, job.rig.names)
-            _settle(self._synced)
-            self._key, self._seeds = key, int(job.scene.sha256()[:8], 16)
-        return self._synced
+            _settle(self.synced)
+            self._seeds = int(job.scene.sha256()[:8], 16)
+        self._key = key if keep else None
+        return self.synced
 
 
 def _settle(synced: SyncedScene) -> None:
@@ -83,13 +82,10 @@ def _settle(synced: SyncedScene) -> None:
     The first change of visibility puts Cycles' lamps into another order, and with it the random choices of
     every later render: the variants rendered before it would share no random numbers with those after it.
     """
-    scene = bpy.context.scene
-    size = scene.render.resolution_x, scene.render.resolution_y
-    scene.render.resolution_x = scene.render.resolution_y = 4
     beauty_filter(1)
-    with _hidden(synced, next(iter(synced.objects))):
+    small = _changed([bpy.context.scene.render], resolution_x=4, resolution_y=4)
+    with small, hidden(synced, next(iter(synced.objects))):
         render_passes()
-    scene.render.resolution_x, scene.render.resolution_y = size
 
 
 def _beauty(synced: SyncedScene, settings: RenderSettings) -> Passes:
@@ -114,33 +110,22 @@ def _lit_by(synced: SyncedScene, environment: int) -> Iterator[None]:
 
     `hide_render` would take the lamps out of Cycles' scene and put them back in another order.
     """
-    energies = [(lamp.data, lamp.data.energy) for lamp in synced.lamps]
-    synced.sky.shine(environment)
-    for lamp, _ in energies:
-        lamp.energy = 0.0
-    try:
-        yield
-    finally:
-        synced.sky.shine(0)
-        for lamp, energy in energies:
-            lamp.energy = energy
+    with _changed([lamp.data for lamp in synced.lamps], energy=0.0):
+        synced.sky.shine(environment)
+        try:
+            yield
+        finally:
+            synced.sky.shine(0)
 
 
-def _stack(
-    passes: Passes,
-    rig: LightRig,
-    *,
-    geometry: GeometryBuffers | None = None,
-    coverage: Float32 | None = None,
-) -> LayerStack:
+def _stack(passes: Passes, rig: LightRig, **more: Any) -> LayerStack:
     return LayerStack(
         lights=rig.names,
         radiance=np.stack([passes[f"Combined_{name}"][..., :3] for name in rig.names]),
         combined=np.ascontiguousarray(passes["Combined"][..., :3]),
-        geometry=geometry,
-        coverage=coverage,
         guide_albedo=passes["Denoising Albedo"],
         guide_normal=passes["Denoising Normal"],
+        **more,
     )
 
 
@@ -178,68 +163,50 @@ def _render_foreground(synced: SyncedScene, job: RenderJob, name: str) -> LayerS
     camera = view_camera(job)
     border = projected_border(camera, synced.box(name))
     if border is None:
-        return _unseen(camera, job.rig)
+        unseen = np.zeros((camera.height, camera.width, 3), np.float32)
+        layers = np.zeros((len(job.rig.names), *unseen.shape), np.float32)
+        return LayerStack(
+            job.rig.names, layers, unseen, coverage=unseen[..., 0], guide_albedo=unseen, guide_normal=unseen
+        )
     with _alone(synced, name), _bordered(camera, border):
         passes = _beauty(synced, job.settings)
     return _stack(passes, job.rig, coverage=np.clip(passes["Combined"][..., 3], 0, 1))
 
 
-def _unseen(camera: Camera, rig: LightRig) -> LayerStack:
-    picture = np.zeros((camera.height, camera.width, 3), np.float32)
-    return LayerStack(
-        lights=rig.names,
-        radiance=np.zeros((len(rig.names), *picture.shape), np.float32),
-        combined=picture,
-        coverage=picture[..., 0],
-        guide_albedo=picture,
-        guide_normal=picture,
-    )
-
-
-@contextlib.contextmanager
-def _hidden(synced: SyncedScene, name: str) -> Iterator[None]:
+def hidden(synced: SyncedScene, name: str) -> contextlib.AbstractContextManager[None]:
     """Make a body invisible to every kind of ray: the same picture as without it, to the last bit.
 
     `hide_render` would have Cycles drop and rebuild the body's geometry, which costs more than many a render.
     """
-    _set_visibility(synced.objects[name], False)
-    try:
-        yield
-    finally:
-        _set_visibility(synced.objects[name], True)
-
-
-def _set_visibility(objects: list[bpy.types.Object], visible: bool) -> None:
-    for placed in objects:
-        for ray in ("camera", "diffuse", "glossy", "transmission", "shadow", "volume_scatter"):
-            setattr(placed, f"visible_{ray}", visible)
+    return _changed(synced.objects[name], **{f"visible_{ray}": False for ray in RAYS})
 
 
 @contextlib.contextmanager
 def _alone(synced: SyncedScene, name: str) -> Iterator[None]:
     """Let the camera see one body only: the others hide it and light it, but leave the picture empty."""
     others = [placed for body, objects in synced.objects.items() if body != name for placed in objects]
-    render = bpy.context.scene.render
-    render.film_transparent = True
-    for placed in others:
-        placed.is_holdout = True
-    try:
+    with _changed([bpy.context.scene.render], film_transparent=True), _changed(others, is_holdout=True):
         yield
-    finally:
-        render.film_transparent = False
-        for placed in others:
-            placed.is_holdout = False
 
 
-@contextlib.contextmanager
-def _bordered(camera: Camera, border: tuple[int, int, int, int]) -> Iterator[None]:
+def _bordered(camera: Camera, border: tuple[int, int, int, int]) -> contextlib.AbstractContextManager[None]:
     """Render only these pixels (left, top, right, bottom) of the full picture; the rest is zero."""
     left, top, right, bottom = border
     render = bpy.context.scene.render
-    render.use_border, render.use_crop_to_border = True, False
+    render.use_crop_to_border = False
     render.border_min_x, render.border_max_x = left / camera.width, right / camera.width
     render.border_min_y, render.border_max_y = 1 - bottom / camera.height, 1 - top / camera.height
+    return _changed([render], use_border=True)
+
+
+@contextlib.contextmanager
+def _changed(things: Sequence[Any], **values: Any) -> Iterator[None]:
+    """Give some of Blender's things other values for a while."""
+    before = [(thing, name, getattr(thing, name)) for thing in things for name in values]
+    for thing, name, _ in before:
+        setattr(thing, name, values[name])
     try:
         yield
     finally:
-        render.use_border = False
+        for thing, name, value in before:
+            setattr(thing, name, value)

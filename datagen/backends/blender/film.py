@@ -96,14 +96,10 @@ def render_passes() -> Passes:
 
 @contextlib.contextmanager
 def _memory_file() -> Iterator[str]:
-    """Yield the path of a file in memory, or of a temporary file where the system has no such thing.
+    """Yield the path of a file in memory.
 
     Unlike a file in /dev/shm it vanishes with the process, however that ends, and has no limit of its own.
     """
-    if not hasattr(os, "memfd_create"):
-        with tempfile.TemporaryDirectory(prefix="multilight-") as folder:
-            yield f"{folder}/render.exr"
-        return
     file = os.memfd_create("render")
     try:
         yield f"/proc/self/fd/{file}"

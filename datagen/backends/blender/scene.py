@@ -56,11 +56,7 @@ class SyncedScene:
         """Add a body; a light group belongs to a whole Blender object, so each glowing part becomes one."""
         parts = range(len(body.materials))
         groups = [[part for part in parts if part not in glows], *([part] for part in parts if part in glows)]
-        placed = []
-        for group in filter(None, groups):
-            light = glows.get(group[0])
-            placed.append(self._add_object(body, tuple(group), number, light))
-        return placed
+        return [self._add_object(body, tuple(parts), number, glows.get(parts[0])) for parts in filter(None, groups)]
 
     def _add_object(
         self, body: Body, parts: tuple[int, ...], number: int, light: EmissiveLight | None

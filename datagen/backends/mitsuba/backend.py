@@ -1,7 +1,7 @@
 """`MitsubaBackend`: one job in, one `LayerStack` out; a view's variants come from one set of paths."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Self
 
 import drjit as dr
@@ -45,13 +45,13 @@ class MitsubaBackend:
         self._library = library
         self._textures = Textures(library)
         self._tables = Tables()
-        self._synced: _Synced | None = None
+        self.synced: _Synced | None = None
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._synced = None
+        self.synced = None
 
     def render(self, job: RenderJob) -> LayerStack:
         """Render one job; raises `BackendError` with the value and the remedy."""
@@ -59,19 +59,27 @@ class MitsubaBackend:
         camera = view_camera(job)
         dr.set_thread_count(job.settings.threads or dr.thread_count())
         synced = self._sync(job)
-        view = synced.view(job.view, job.settings)
+        film = synced.view(job.view, job.settings)
+        layers = film.mean((action, name or ""))
+        albedo, normal = film.mean(("guides", name if name and action == "without" else ""))
+        stack = LayerStack(
+            lights=job.rig.names,
+            radiance=layers,
+            combined=layers.sum(axis=0),
+            guide_albedo=albedo,
+            guide_normal=normal,
+        )
         if name is None:
-            geometry = geometry_buffers(synced.world, camera, view.uncovered)
-            return replace(view.stack(job.rig, view.everything), geometry=geometry)
-        if action == "without":
-            return replace(view.stack(job.rig, view.without[name], name), shown=view.shown[name])
-        return replace(view.stack(job.rig, view.foreground[name]), coverage=view.coverage[name])
+            uncovered = film.mean(("uncovered", ""))[0, ..., 0]
+            return replace(stack, geometry=geometry_buffers(synced.world, camera, uncovered))
+        coverage, shown = np.moveaxis(film.mean(("masks", name))[0, ..., :2], -1, 0)
+        return replace(stack, shown=shown) if action == "without" else replace(stack, coverage=coverage)
 
     def _sync(self, job: RenderJob) -> "_Synced":
-        if self._synced is None or (self._synced.scene, self._synced.rig) != (job.scene, job.rig):
-            self._synced = None  # frees the device first
-            self._synced = _Synced(job.scene, job.rig, self)
-        return self._synced
+        if self.synced is None or (self.synced.scene, self.synced.rig) != (job.scene, job.rig):
+            self.synced = None  # frees the device first
+            self.synced = _Synced(job.scene, job.rig, self)
+        return self.synced
 
     def worlds(self, scene: SceneSpec, rig: LightRig) -> dict[str | None, World]:
         """Put a scene on the device: whole (None), and without each insertable object."""
@@ -95,56 +103,32 @@ class MitsubaBackend:
         return {removed: world(removed) for removed in (None, *scene.insertable)}
 
 
-@dataclass
-class _Pictures:
-    """Means over a view's samples, by object: variants (L, H, W, 3), masks (H, W), and the denoiser's guides.
-
-    These are albedo and normal, (2, H, W, 3): of the whole scene under no name, else where the object is removed.
-    """
-
-    everything: Float32
-    uncovered: Float32
-    guides: dict[str, Float32]
-    without: dict[str, Float32]
-    foreground: dict[str, Float32]
-    coverage: dict[str, Float32]
-    shown: dict[str, Float32]
-
-    def stack(self, rig: LightRig, layers: Float32, removed: str = "") -> LayerStack:
-        """Wrap a variant's layers."""
-        albedo, normal = self.guides[removed]
-        return LayerStack(
-            lights=rig.names,
-            radiance=layers,
-            combined=layers.sum(axis=0),
-            guide_albedo=albedo,
-            guide_normal=normal,
-        )
-
-
 class _Synced:
-    """A scene on the device, and the pictures of the view asked for last."""
+    """A scene on the device, and the film of the view asked for last."""
 
     def __init__(self, scene: SceneSpec, rig: LightRig, backend: MitsubaBackend) -> None:
         self.scene, self.rig = scene, rig
         self.worlds = backend.worlds(scene, rig)
         self.seed = int(scene.sha256()[:8], 16)
         self._key: tuple[int, RenderSettings] | None = None
-        self._view: _Pictures | None = None
+        self._view: Film | None = None
 
     @property
     def world(self) -> World:
         """The whole scene."""
         return self.worlds[None]
 
-    def view(self, number: int, settings: RenderSettings) -> _Pictures:
-        """Render all variants of a view, or return them where it was the last."""
+    def view(self, number: int, settings: RenderSettings) -> Film:
+        """Render all variants of a view and the masks of objects, or return them where it was the last.
+
+        Of guides, albedo and normal, those of the whole scene go by no name, else by that of the object removed.
+        """
         if self._view is None or self._key != (number, settings):
-            self._view = self._render(number, settings)
-            self._key = (number, settings)
+            self._view = None  # frees the device first
+            self._view, self._key = self._render(number, settings), (number, settings)
         return self._view
 
-    def _render(self, number: int, settings: RenderSettings) -> _Pictures:
+    def _render(self, number: int, settings: RenderSettings) -> Film:
         camera = self.scene.cameras[number]
         film = Film(camera.height, camera.width)
         lens = Lens(camera)
@@ -171,15 +155,7 @@ class _Synced:
                 for key in keys
             ]
             sample(further_blocks(first, pilots, cost, settings.spp))
-        return _Pictures(
-            everything=film.mean(("all", "")),
-            uncovered=film.mean(("uncovered", ""))[0, ..., 0],
-            guides={name: film.mean(("guides", name)) for name in ("", *names)},
-            without={name: film.mean(("without", name)) for name in names},
-            foreground={name: film.mean(("foreground", name)) for name in names},
-            coverage={name: film.mean(("masks", name))[0, ..., 0] for name in names},
-            shown={name: film.mean(("masks", name))[0, ..., 1] for name in names},
-        )
+        return film
 
 
 class _Batch:

@@ -1,9 +1,8 @@
 """The per-light path integrator: one path, a sum for each light.
 
 Mitsuba's own `path` integrator, except that light is credited to the emitter that it came from. At each vertex
-every light is sampled once, or (`one_light`) one of them at random as the built-in integrator does; hits are
-weighted against that by the power heuristic (Veach 1997). The result also says which removable bodies a sample has
-met, so that a variant without one of them traces only those samples again.
+every light is sampled once; hits are weighted against that by the power heuristic (Veach 1997). The result also says
+which removable bodies a sample has met, so that a variant without one of them traces only those samples again.
 """
 
 from dataclasses import dataclass
@@ -139,7 +138,7 @@ def _dimmed(world: World, changing: TriangleSet, ray: mi.Ray3f, active: mi.Bool)
     return state[3], state[4]
 
 
-def trace(world: World, ray: mi.Ray3f, sampler: Sampler, *, max_bounces: int, one_light: bool = False) -> PathResult:
+def trace(world: World, ray: mi.Ray3f, sampler: Sampler, *, max_bounces: int) -> PathResult:
     """Trace one path a lane; radiance is that of its first point, as seen along the ray.
 
     Lights but the environment and glowing bodies are invisible to the ray itself, and block nothing.
@@ -169,14 +168,14 @@ def trace(world: World, ray: mi.Ray3f, sampler: Sampler, *, max_bounces: int, on
     )
 
     def step(path: PathState) -> tuple[PathState]:
-        _vertex(world, path, max_bounces, one_light)
+        _vertex(world, path, max_bounces)
         return (path,)
 
     (state,) = dr.while_loop((state,), lambda path: path.active, step, label="paths")
     return state.result
 
 
-def _vertex(world: World, path: PathState, max_bounces: int, one_light: bool) -> None:
+def _vertex(world: World, path: PathState, max_bounces: int) -> None:
     """Follow the ray to what it meets, credit the light found there, and go on from there, or end."""
     depth, result = path.depth, path.result
     pi = world.whole.scene.ray_intersect_preliminary(
@@ -199,13 +198,13 @@ def _vertex(world: World, path: PathState, max_bounces: int, one_light: bool) ->
     result.covered |= first & found
     result.albedo = dr.select(seen, hit.base, result.albedo)
     result.normal = dr.select(seen, hit.ns, result.normal)
-    _emission(world, path, hit, distance, (solid, found), 1 / len(world.emitters) if one_light else 1.0)
+    _emission(world, path, hit, distance, solid, found)
     on = solid & (depth <= max_bounces)
     frame = mi.Frame3f(hit.ns)
     least = 4 if FILTER_GLOSSY == 0 else path.least_pdf / FILTER_GLOSSY
     blur = dr.select(least < 1, dr.sqrt(dr.maximum(1 - least, 0)) * 0.5, 0)
     c = bsdf.closure(world.tables, hit, frame.to_local(-path.d), blur, glass=world.surfaces.glass)
-    (_direct_one if one_light else _direct)(world, path, hit, c, frame, on)
+    _direct(world, path, hit, c, frame, on)
     _bounce(path, hit, c, frame, on)
     if world.surfaces.see_through:
         passing = found & ~solid & (path.passes < SEE_THROUGH_SURFACES)
@@ -215,15 +214,12 @@ def _vertex(world: World, path: PathState, max_bounces: int, one_light: bool) ->
         path.active |= passing
 
 
-def _emission(
-    world: World, path: PathState, hit: Hit, distance: mi.Float, met: tuple[mi.Bool, mi.Bool], chance: float
-) -> None:
+def _emission(world: World, path: PathState, hit: Hit, distance: mi.Float, solid: mi.Bool, found: mi.Bool) -> None:
     """Credit what the ray itself meets: the environment, glowing surfaces and, after a bounce, lamps.
 
-    `met`: whether there is an opaque surface, and whether there is any. `chance`: of a light to be sampled.
+    `solid`: whether there is an opaque surface; `found`: whether there is any.
     """
     first = path.depth == 0
-    solid, found = met
     for number, light in enumerate(world.emitters):
         if light.delta:
             continue
@@ -236,7 +232,7 @@ def _emission(
             there = path.active & (~found if light.distant else (meets > path.travelled) & (meets < distance))
             if not isinstance(light, Environment):
                 there &= ~first
-        weight = dr.select(first, 1, _weight(path.pdf, pdf * chance))
+        weight = dr.select(first, 1, _weight(path.pdf, pdf))
         path.result.layers[number] += dr.select(there, path.throughput * radiance * weight, 0)
 
 
@@ -254,27 +250,6 @@ def _direct(world: World, path: PathState, hit: Hit, c: bsdf.Closure, frame: mi.
             met &= ~dr.gather(mi.UInt32, world.bits, light.body)
         result.met |= dr.select(usable, met, 0)
         result.layers[number] += dr.select(usable, light_in * passed, 0)
-
-
-def _direct_one(world: World, path: PathState, hit: Hit, c: bsdf.Closure, frame: mi.Frame3f, on: mi.Bool) -> None:
-    """Sample one of the lights, each with the same chance."""
-    result, count = path.result, len(world.emitters)
-    u = path.sampler.next_2d(LIGHT, path.depth)
-    scaled = u.x * count
-    chosen = dr.minimum(mi.UInt32(scaled), count - 1)
-    u = mi.Point2f(scaled - mi.Float(chosen), u.y)
-    found = Sample(mi.Vector3f(0, 0, 1), mi.Float(0), mi.Color3f(0), mi.Float(0))
-    delta = mi.Bool(False)
-    for number, light in enumerate(world.emitters):
-        found = dr.select(chosen == number, light.sample(hit.p, u), found)
-        delta |= (chosen == number) & light.delta
-    value, pdf = bsdf.evaluate(c, frame.to_local(found.d))
-    weight = dr.select(delta, 1, _weight(found.pdf / count, pdf)) * count
-    light_in = path.throughput * value * found.weight * weight
-    usable, passed, met = _arriving(world, hit, found, light_in, on)
-    result.met |= dr.select(usable, met, 0)
-    for number in range(count):
-        result.layers[number] += dr.select(usable & (chosen == number), light_in * passed, 0)
 
 
 def _arriving(

@@ -18,7 +18,6 @@ from PIL import Image
 
 from multilight.datagen.backends.mitsuba.arrays import SceneArrays
 from multilight.datagen.backends.mitsuba.device import CLAMPED, on_device, opaque
-from multilight.datagen.backends.mitsuba.environments import envmap
 from multilight.datagen.backends.mitsuba.surfaces import Surfaces
 from multilight.lights.photometry.directions import spot_frame
 from multilight.lights.spec import (
@@ -73,7 +72,10 @@ class Environment:
         pixels = np.ones((4, 8, 3), np.float32)
         if light.map is not None:
             pixels = read_environment(library.environment_path(light.map))
-        parts = envmap(pixels, light.rotation)
+        about_z = mi.ScalarTransform4f().rotate([0, 0, 1], math.degrees(light.rotation))
+        # Mitsuba's maps have +Y up and their centre column along +Z.
+        axes = mi.ScalarTransform4f(np.array([[0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]]))
+        parts = {"type": "envmap", "bitmap": mi.Bitmap(_rows_at_poles(pixels)), "to_world": about_z @ axes}
         # An emitter works only as part of a scene; this one has nothing else.
         self._scene = mi.load_dict({"type": "scene", "ball": {"type": "sphere"}, "map": parts})
         self._map = self._scene.environment()
@@ -92,6 +94,19 @@ class Environment:
         ds = dr.zeros(mi.DirectionSample3f)
         ds.d = d
         return mi.Float(FAR), self._map.eval(si) * self._scale, self._map.pdf_direction(si, ds)
+
+
+def _rows_at_poles(pixels: Float32) -> Float32:
+    """Put rows between the rows: Mitsuba's first and last row lie on the poles, ours half a row off.
+
+    Interpolated as Mitsuba does, the result is the map interpolated as we do.
+    """
+    between = (pixels[1:] + pixels[:-1]) / 2
+    result = np.empty((2 * len(pixels) + 1, *pixels.shape[1:]), np.float32)
+    result[1::2] = pixels
+    result[2:-1:2] = between
+    result[0], result[-1] = pixels[0].mean(axis=0), pixels[-1].mean(axis=0)
+    return result
 
 
 class Sun:

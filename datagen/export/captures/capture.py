@@ -9,7 +9,7 @@ from multilight.datagen.errors import UserError
 from multilight.datagen.export.captures.points import ScenePoints, scene_points
 from multilight.datagen.export.images import depth_mm, png, to_byte
 from multilight.datagen.storage.copies import Report, making
-from multilight.datagen.storage.manifest import scene_part
+from multilight.datagen.storage.manifest import Settings
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.source import DatasetSource
 from multilight.datagen.tuples import compose
@@ -20,20 +20,14 @@ from multilight.scenes.streams import Streams
 
 
 @dataclass(frozen=True)
-class SceneViews:
-    """A scene's views without their layers: z_depth, normal_world and environment of each, and shared points."""
+class Capture:
+    """One lighting of a scene: tone-mapped pictures (H, W, 3) uint8 sRGB, a view each, with z_depth and environment
+    of each view, and points."""
 
     record: SceneRecord
     depths: tuple[Float32, ...]
     environments: tuple[Float32, ...]
     points: ScenePoints
-
-
-@dataclass(frozen=True)
-class Capture:
-    """One lighting of a scene: tone-mapped pictures (H, W, 3) uint8 sRGB, a view each."""
-
-    scene: SceneViews
     condition: LightingCondition
     images: tuple[UInt8, ...]
 
@@ -60,15 +54,17 @@ def export_captures(
     if points < 1:
         raise UserError(f"--points {points} must be 1 or more")
     written = 0
-    with making(out, kind, source, {"points": points}) as copy:
+    settings: Settings = {"points": points}
+    if conditions is not None:
+        settings["conditions"] = conditions
+    with making(out, kind, source, settings) as copy:
         for done, record in enumerate(source.scenes()):
             chosen = record.conditions[:conditions]
             scene = f"scene_{record.index:06d}"
             with source.passing_over(record.index):
-                part = scene_part(source, record.index)
-                missing = [lit for lit in chosen if not copy.keeps(f"{scene}/{lit.name}", part)]
+                missing = [lit for lit in chosen if not copy.keeps(f"{scene}/{lit.name}", record.index)]
                 for capture in _captures(source, record, missing, points):
-                    with copy.filling_part(f"{scene}/{capture.condition.name}", part) as folder:
+                    with copy.filling_part(f"{scene}/{capture.condition.name}", record.index) as folder:
                         write(capture, folder)
                 written += len(chosen)
             report(done + 1, len(source.indices))
@@ -83,8 +79,8 @@ def write_pictures(capture: Capture, folder: Path, *, mask_name: str) -> None:
     """
     for name in ("images", "depths", "masks"):
         (folder / name).mkdir()
-    scene = capture.scene
-    for number, (image, depth, sky) in enumerate(zip(capture.images, scene.depths, scene.environments, strict=True)):
+    views = zip(capture.images, capture.depths, capture.environments, strict=True)
+    for number, (image, depth, sky) in enumerate(views):
         (folder / "images" / f"{number:02d}.png").write_bytes(png(image))
         (folder / "depths" / f"{number:02d}.png").write_bytes(png(depth_mm(depth)))
         mask = to_byte(sky < 0.5)
@@ -105,8 +101,8 @@ def _captures(
     rng = Streams(record.seed, record.index, record.attempt)("export/points")
     normals = [buffers.normal_world for buffers in geometry]
     points = scene_points(record.scene.cameras, depths, normals, count=count, rng=rng)
-    scene = SceneViews(record, depths, tuple(buffers.environment for buffers in geometry), points)
+    environments = tuple(buffers.environment for buffers in geometry)
     return [
-        Capture(scene, condition, tuple(lit))
+        Capture(record, depths, environments, points, condition, tuple(lit))
         for condition, lit in zip(conditions, zip(*pictures, strict=True), strict=True)
     ]

@@ -22,9 +22,9 @@ PINHOLE = 1  # COLMAP's number of the model with fx, fy, cx, cy
 def write_colmap(capture: Capture, folder: Path) -> None:
     """Write one capture: a camera and an image a view, points with their tracks; masks are named as COLMAP wants."""
     write_pictures(capture, folder, mask_name="{}.png.png")
-    cameras = capture.scene.record.scene.cameras
-    points = capture.scene.points
-    seen = sightings(points, cameras, capture.scene.depths)
+    cameras = capture.record.scene.cameras
+    points = capture.points
+    seen = sightings(points, cameras, capture.depths)
     model = folder / "sparse" / "0"
     model.mkdir(parents=True)
     (model / "cameras.bin").write_bytes(_cameras(cameras))

@@ -12,14 +12,14 @@ from multilight.scenes.spec import Camera
 def write_nerfstudio(capture: Capture, folder: Path) -> None:
     """Write one capture: poses are camera-to-world with OpenGL axes, world +Z up, metres; depth 16-bit mm."""
     write_pictures(capture, folder, mask_name="{}.png")
-    points = capture.scene.points
+    points = capture.points
     write_ply(folder / "points.ply", points, points.colours(capture.images))
     write_json(folder / "transforms.json", transforms(capture))
 
 
 def transforms(capture: Capture) -> dict[str, Any]:
     """Make the content of `transforms.json`; intrinsics stand with each frame where the views' lenses differ."""
-    cameras = capture.scene.record.scene.cameras
+    cameras = capture.record.scene.cameras
     lenses = [_lens(camera) for camera in cameras]
     shared = lenses[0] if all(lens == lenses[0] for lens in lenses) else {}
     frames = [

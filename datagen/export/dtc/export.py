@@ -5,22 +5,18 @@ scene's folder gets its name when it is whole, so an export that was stopped goe
 `test.json` name roots and scenes as the published configuration files do.
 """
 
-import concurrent.futures
 import json
-import multiprocessing
 import os
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
+from pathlib import Path
 
-from multilight.datagen.errors import RunStoppedError, StoreError, UserError
+from multilight.datagen.errors import UserError
 from multilight.datagen.export.dtc.readme import write_readme
 from multilight.datagen.export.dtc.request import DtcExport
 from multilight.datagen.export.dtc.scene import Frame
 from multilight.datagen.export.dtc.work import Job, export_scene
-from multilight.datagen.storage.copies import Copy, Report, making
-from multilight.datagen.storage.manifest import FileEntry, ScenePart, scene_part
+from multilight.datagen.storage.copies import Copy, Report, in_processes, making
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.source import open_dataset
 from multilight.datagen.storage.store import write_text
@@ -33,16 +29,15 @@ ROOTS: dict[str, str] = {
     "3d-eval": "DTC-MultiLight-3DEval",
 }
 LISTS = {"train": "train.json", "eval": "test.json"}
-Made = Callable[[int, dict[str, dict[str, FileEntry]]], None]
 
 
 @dataclass(frozen=True)
 class DtcOutcome:
-    """How many scenes were written and were there, and why the others failed (scene index → one line)."""
+    """How many scenes were written and were there, and why others were passed over (scene index → one line)."""
 
     written: int
     kept: int
-    failures: dict[int, str]
+    skipped: dict[int, str]
 
 
 def export_dtc(request: DtcExport, report: Report) -> DtcOutcome:
@@ -51,26 +46,31 @@ def export_dtc(request: DtcExport, report: Report) -> DtcOutcome:
     Raises `UserError` where the dataset cannot be read or holds no scene for the part, where a number is out of its
     range, or where the output folder holds something else, or an export made otherwise.
     """
-    source = open_dataset(request.address)
-    if not source.indices:
-        raise UserError(f"{request.address} holds no finished scene; make some with: multilight dataset")
-    records = [record for record in source.scenes() if _kinds(record, request)]
-    _check(request, records)
+    source = open_dataset(request.address, where=request.where, on_broken=request.on_broken)
+    every = list(source.scenes())
+    records = [record for record in every if _kinds(record, request)]
+    if every:
+        _check(request, records)
     settings = {key: getattr(request, key) for key in ("conditions", "exposures", "size", "map_size")}
     with making(request.out, "dtc-multilight", source, settings) as copy:
-        parts = {record.index: scene_part(source, record.index) for record in records}
-        jobs = [_job(request, record, copy, parts[record.index]) for record in records]
+        jobs = [_job(request, record, copy) for record in records]
         missing = [job for job in jobs if job.flat or job.maps]
-
-        def made(index: int, folders: dict[str, dict[str, FileEntry]]) -> None:
-            for folder, files in folders.items():
-                copy.add(folder, parts[index], files)
-
-        failures = _run(missing, request.workers, made, report)
-        _write_lists(request, records)
-        write_readme(request.out, request.address, records)
+        done, total = 0, sum(job.views for job in missing)
+        workers = min(request.workers or len(os.sched_getaffinity(0)), max(len(missing), 1))
+        written = 0
+        for job, made in in_processes(export_scene, missing, workers):
+            with source.passing_over(job.index):
+                for folder, files in made().items():
+                    copy.add(folder, job.index, files)
+                written += 1
+            done += job.views
+            report(done, total)
+        held = {part.scene for part in copy.parts.values()}
+        there = [record for record in every if record.index in held]
+        _write_lists(request.out, there)
+        write_readme(request.out, request.address, there)
         copy.finish(*(name for name in (*LISTS.values(), "README.md") if (request.out / name).is_file()))
-    return DtcOutcome(len(missing) - len(failures), len(jobs) - len(missing), failures)
+    return DtcOutcome(written, len(jobs) - len(missing), source.skipped)
 
 
 def scene_name(index: int) -> str:
@@ -106,53 +106,17 @@ def _check(request: DtcExport, records: Sequence[SceneRecord]) -> None:
             raise UserError(f"scene {record.index} of {request.address} has no insertable object to composite")
 
 
-def _job(request: DtcExport, record: SceneRecord, copy: Copy, part: ScenePart) -> Job:
+def _job(request: DtcExport, record: SceneRecord, copy: Copy) -> Job:
     """Plan what is missing of a scene."""
     folders = {kind[:2]: f"{ROOTS[kind]}/{scene_name(record.index)}" for kind in _kinds(record, request)}
-    missing = {dimension: folder for dimension, folder in folders.items() if not copy.keeps(folder, part)}
+    missing = {dimension: folder for dimension, folder in folders.items() if not copy.keeps(folder, record.index)}
     return Job(request, record.index, len(record.views), record.split != "train", missing.get("2d"), missing.get("3d"))
 
 
-def _run(jobs: Sequence[Job], workers: int | None, made: Made, report: Report) -> dict[int, str]:
-    """Export scenes, telling `made` of each; returns the failures. Anything that would fail all scenes is raised."""
-    failures: dict[int, str] = {}
-    done, total = 0, sum(job.views for job in jobs)
-    count = min(workers or len(os.sched_getaffinity(0)), len(jobs))
-    for job, wait in _started(jobs, count) if jobs else ():
-        try:
-            made(job.index, wait())
-        except (StoreError, ValueError) as error:
-            failures[job.index] = str(error)
-        except BrokenProcessPool:
-            raise RunStoppedError(
-                "a worker process was killed, probably for want of memory; finished scenes are kept: "
-                "run the same command again with a smaller --workers"
-            ) from None
-        done += job.views
-        report(done, total)
-    return failures
-
-
-def _started(jobs: Sequence[Job], count: int) -> Iterator[tuple[Job, Callable[[], dict[str, dict[str, FileEntry]]]]]:
-    """Yield each job with a call that returns or raises as the job did; in `count` processes, or in this one."""
-    if count == 1:
-        for job in jobs:
-            yield job, partial(export_scene, job)
-        return
-    with concurrent.futures.ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn")) as pool:
-        running = {pool.submit(export_scene, job): job for job in jobs}
-        try:
-            for future in concurrent.futures.as_completed(running):
-                yield running[future], future.result
-        except BaseException:
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
-
-
-def _write_lists(request: DtcExport, records: Sequence[SceneRecord]) -> None:
+def _write_lists(out: Path, records: Sequence[SceneRecord]) -> None:
     """Write `train.json` and `test.json`: a group a split, with the keys that the 2D and the 3D loader want."""
     for end, file in LISTS.items():
-        flat, maps = (request.out.resolve() / ROOTS[f"{dimension}-{end}"] for dimension in ("2d", "3d"))
+        flat, maps = (out.resolve() / ROOTS[f"{dimension}-{end}"] for dimension in ("2d", "3d"))
         groups: dict[str, list[str]] = {}
         for record in records:
             name = scene_name(record.index)
@@ -161,4 +125,4 @@ def _write_lists(request: DtcExport, records: Sequence[SceneRecord]) -> None:
         roots = {"data_root": str(flat), "data_root_2d": str(flat), "data_root_3d": str(maps)}
         if groups:
             content = {split: roots | {"scenes": names} for split, names in groups.items()}
-            write_text(request.out / file, json.dumps(content, indent=1) + "\n")
+            write_text(out / file, json.dumps(content, indent=1) + "\n")

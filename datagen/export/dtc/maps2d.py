@@ -51,30 +51,20 @@ def write_training_pictures(folder: Path, view: int, image: UInt8, backgrounds: 
         write_png(folder / "object_bgs" / f"{view}_object{j}.png", background)
 
 
-def write_evaluation_pictures(
-    scene: Path, view: int, geometry: Geometry, *, composite: UInt8, background: UInt8, target: UInt8
-) -> None:
-    """Write a view of an evaluation scene.
+def write_evaluation_pictures(scene: Path, view: int, **pictures: UInt8) -> None:
+    """Write a view of an evaluation scene: composite, bg, depth, gt and mask.
 
     Its mask is that of the environment: the published loader leaves out of the comparison what the mask covers,
     as it does with `env_masks` in training.
     """
-    pictures = {
-        "composites": composite,
-        "bgs": background,
-        "gts": target,
-        "depths": geometry.depths[view],
-        "masks": geometry.environments[view],
-    }
     for kind, picture in pictures.items():
-        write_png(scene / kind / f"{view}.png", picture)
+        write_png(scene / f"{kind}s" / f"{view}.png", picture)
 
 
 def write_evaluation_transforms(scene: Path, name: str, geometry: Geometry) -> None:
     """Write an evaluation scene's `transforms.json`; `name` as for training."""
-    keys = {"composite_path": "composites", "bg_path": "bgs", "depth_path": "depths", "gt_path": "gts"}
-    keys["mask_path"] = "masks"
-    frames = [{key: f"{name}/{kind}/{view}.png" for key, kind in keys.items()} for view in range(len(geometry.cameras))]
+    kinds, views = ("composite", "bg", "depth", "gt", "mask"), range(len(geometry.cameras))
+    frames = [{f"{kind}_path": f"{name}/{kind}s/{view}.png" for kind in kinds} for view in views]
     write_json(scene / "transforms.json", _transforms(geometry.cameras, frames))
 
 

@@ -30,41 +30,37 @@ class ColorMaps:
     """Maps of colours, filled view by view: the colour of each Gaussian is that of its source pixel."""
 
     def __init__(self, scene: SceneGaussians) -> None:
-        self._scene = scene
+        self.scene = scene
         self._maps: dict[str, UInt8] = {}
 
     def fill(self, name: str, view: int, picture: UInt8) -> None:
         """Colour map `name` where Gaussians come from this view, of which `picture` (S, S, 3) is the stored one."""
-        colors = self._maps.setdefault(name, np.zeros((len(self._scene.cells), 3), np.uint8))
-        here = self._scene.sources[:, 0] == view
-        colors[here] = picture.reshape(-1, 3)[self._scene.sources[here, 1]]
+        colors = self._maps.setdefault(name, np.zeros((len(self.scene.cells), 3), np.uint8))
+        here = self.scene.sources[:, 0] == view
+        colors[here] = picture.reshape(-1, 3)[self.scene.sources[here, 1]]
 
     def __getitem__(self, name: str) -> UInt8:
         """Return the map `name` as a picture (side, side, 3)."""
-        return np.asarray(self._scene.to_map(self._maps[name]), np.uint8)
+        return np.asarray(self.scene.to_map(self._maps[name]), np.uint8)
 
 
-def write_projections(path: Path, scene: SceneGaussians) -> None:
-    """Write `projs.npy`."""
-    np.save(path, np.concatenate([scene.sources, scene.cells], axis=1).astype(np.int32))
+def _write_shapes(scene: Path, first: Path, gaussians: SceneGaussians) -> None:
+    """Write `projs.npy` of a scene, and `gs.npy` into its first folder.
+
+    The latter is (side, side, 11) float32 = place, opacity, scales [m], quaternion wxyz.
+    """
+    first.mkdir(parents=True, exist_ok=True)
+    np.save(scene / "projs.npy", np.concatenate([gaussians.sources, gaussians.cells], axis=1).astype(np.int32))
+    g = gaussians.gaussians
+    columns = np.concatenate([g.means, g.opacities[:, None], g.scales, g.quats], axis=1)
+    np.save(first / "gs.npy", gaussians.to_map(columns))
 
 
-def write_shapes(path: Path, scene: SceneGaussians) -> None:
-    """Write `gs.npy`: (side, side, 11) float32 = place, opacity, scales [m], quaternion wxyz."""
-    g = scene.gaussians
-    np.save(path, scene.to_map(np.concatenate([g.means, g.opacities[:, None], g.scales, g.quats], axis=1)))
-
-
-def write_training_maps(
-    scene: Path, name: str, folders: Sequence[str], *, gaussians: SceneGaussians, maps: ColorMaps, objects: int
-) -> None:
+def write_training_maps(scene: Path, name: str, folders: Sequence[str], maps: ColorMaps, *, objects: int) -> None:
     """Write a training scene; `maps` holds `<folder>/img` and `<folder>/bg<j>`, `name` is the scene's final name."""
-    owned = [gaussians.to_map(gaussians.objects == j) for j in range(objects)]
-    scene.mkdir(parents=True, exist_ok=True)
-    write_projections(scene / "projs.npy", gaussians)
+    owned = [maps.scene.to_map(maps.scene.objects == j) for j in range(objects)]
     first = scene / folders[0]
-    first.mkdir()
-    write_shapes(first / "gs.npy", gaussians)
+    _write_shapes(scene, first, maps.scene)
     for j, own in enumerate(owned):
         write_png(first / f"mask{j}.png", np.where(own, 255, 0).astype(np.uint8))
     for folder in folders:
@@ -84,10 +80,8 @@ def write_training_maps(
         write_json(scene / folder / "transforms.json", paths)
 
 
-def write_evaluation_maps(scene: Path, gaussians: SceneGaussians, maps: ColorMaps) -> None:
+def write_evaluation_maps(scene: Path, maps: ColorMaps) -> None:
     """Write an evaluation scene; `maps` holds `composite` and `gt`."""
-    scene.mkdir(parents=True, exist_ok=True)
-    write_projections(scene / "projs.npy", gaussians)
-    write_shapes(scene / "gs.npy", gaussians)
+    _write_shapes(scene, scene, maps.scene)
     for name in ("composite", "gt"):
         write_png(scene / f"{name}.png", maps[name])

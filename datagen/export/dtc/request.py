@@ -15,6 +15,10 @@ class DtcExport:
     """Folder or address of the dataset."""
     out: Path
     """Folder to write the roots into; made where it is missing, continued where it is there."""
+    where: str | None = None
+    """Which scenes: an SQL expression over the index, as in `multilight query`."""
+    on_broken: Literal["raise", "skip"] = "raise"
+    """What to do about a scene that cannot be read: stop with its file and the reason, or pass it over and count it."""
     part: Literal["2d-train", "2d-eval", "3d-train", "3d-eval", "all"] = "all"
     """Which roots to write: scenes of split train go to the training roots, all others to the evaluation roots."""
     conditions: int | None = None

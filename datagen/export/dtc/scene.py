@@ -55,19 +55,25 @@ class Frame:
         rows, columns = (self._under(axis) for axis in range(2))
         return buffer[rows[:, None], columns[None]]
 
-    def camera(self, camera: Camera) -> Camera:
-        """Return the stored picture's camera."""
+    def camera(self, camera: Camera, shift: tuple[float, float] = (0.0, 0.0)) -> Camera:
+        """Return the stored picture's camera; the principal point is shifted by so many pixels up and left."""
         (down, across), (row, column) = self._scale(), self.corner
-        return self._resized(camera, (camera.cx * across - column, camera.cy * down - row))
+        return Camera(
+            width=self.size,
+            height=self.size,
+            fx=camera.fx * across,
+            fy=camera.fy * down,
+            cx=camera.cx * across - column - shift[1],
+            cy=camera.cy * down - row - shift[0],
+            c2w=camera.c2w,
+        )
 
     def picked_camera(self, camera: Camera) -> Camera:
         """Return the camera whose pixel centres are the rays that `pick` took: within half a pixel of `camera`."""
-        stored = self.camera(camera)
-        shifts = []
-        for axis, (scale, corner) in enumerate(zip(self._scale(), self.corner, strict=True)):
-            taken = (self._under(axis) + 0.5) * scale - corner
-            shifts.append(float(np.mean(taken - np.arange(self.size) - 0.5)))
-        return self._resized(camera, (stored.cx - shifts[1], stored.cy - shifts[0]))
+        centres = np.arange(self.size)
+        taken = [(self._under(axis) + 0.5) * self._scale()[axis] - self.corner[axis] for axis in range(2)]
+        down, across = (float(np.mean(places - centres - 0.5)) for places in taken)
+        return self.camera(camera, (down, across))
 
     def _scale(self) -> tuple[float, float]:
         return self.shape[0] / self.rendered[0], self.shape[1] / self.rendered[1]
@@ -76,18 +82,6 @@ class Frame:
         """Return the rendered pixel under each stored pixel's centre, along one axis."""
         centres = np.arange(self.size) + self.corner[axis] + 0.5
         return np.floor(centres / self._scale()[axis]).astype(np.int64)
-
-    def _resized(self, camera: Camera, centre: tuple[float, float]) -> Camera:
-        down, across = self._scale()
-        return Camera(
-            width=self.size,
-            height=self.size,
-            fx=camera.fx * across,
-            fy=camera.fy * down,
-            cx=centre[0],
-            cy=centre[1],
-            c2w=camera.c2w,
-        )
 
 
 @dataclass(frozen=True)
@@ -132,7 +126,7 @@ def survey(
 ) -> tuple[tuple[Lighting, ...], Geometry]:
     """Read all views once: meter each condition as published, and gather the geometry."""
     metered: list[list[ViewMetering]] = [[] for _ in conditions]
-    buffers: dict[str, list[NDArray[np.generic]]] = {"z": [], "id": [], "normal": [], "mask": []}
+    buffers: dict[str, list[NDArray[np.generic]]] = {"z_depth": [], "instance_id": [], "normal_world": [], "masks": []}
     farthest = 0.0
     for view in source.views(record):
         geometry = view.geometry
@@ -141,31 +135,24 @@ def survey(
         for condition, metering in zip(conditions, metered, strict=True):
             metering.append(meter_view(compose.target(view, condition), seen))
         covered = [frame.shrink(to_byte(view.coverage[name])) for name in record.scene.insertable]
-        buffers["z"].append(frame.pick(geometry.z_depth))
-        buffers["id"].append(frame.pick(geometry.instance_id))
-        buffers["normal"].append(frame.pick(geometry.normal_world))
-        buffers["mask"].append(np.stack(covered))
+        buffers["masks"].append(np.stack(covered))
+        for name in ("z_depth", "instance_id", "normal_world"):
+            buffers[name].append(frame.pick(getattr(geometry, name)))
     lightings = tuple(
         Lighting(numbered(number), condition, join(metering))
         for number, (condition, metering) in enumerate(zip(conditions, metered, strict=True))
     )
-    return lightings, _geometry(record, frame, buffers, farthest)
-
-
-def _geometry(
-    record: SceneRecord, frame: Frame, buffers: dict[str, list[NDArray[np.generic]]], farthest: float
-) -> Geometry:
-    z_depths = np.stack(buffers["z"]).astype(np.float32)
+    z_depths = np.stack(buffers["z_depth"]).astype(np.float32)
     nothing = z_depths <= 0
     # Cut off, not rounded, as published.
     depths = np.clip(z_depths / np.float32(max(farthest, 1e-9)) * 255.0, 0, 255)
-    return Geometry(
+    return lightings, Geometry(
         cameras=tuple(frame.camera(camera) for camera in record.scene.cameras),
         picked=tuple(frame.picked_camera(camera) for camera in record.scene.cameras),
         z_depths=z_depths,
-        instance_ids=np.stack(buffers["id"]).astype(np.uint16),
-        normals=np.stack(buffers["normal"]).astype(np.float32),
+        instance_ids=np.stack(buffers["instance_id"]).astype(np.uint16),
+        normals=np.stack(buffers["normal_world"]).astype(np.float32),
         depths=np.where(nothing, 255, depths).astype(np.uint8),
         environments=np.where(nothing, 255, 0).astype(np.uint8),
-        masks=np.stack(buffers["mask"]).astype(np.uint8),
+        masks=np.stack(buffers["masks"]).astype(np.uint8),
     )

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from multilight.datagen.errors import StoreError
 from multilight.datagen.export.dtc import maps2d, maps3d
 from multilight.datagen.export.dtc.request import DtcExport
 from multilight.datagen.export.dtc.scene import Frame, Geometry, Lighting, survey
@@ -38,7 +39,7 @@ class Job:
 
 @dataclass(frozen=True)
 class _Scene:
-    """An opened scene, surveyed under the lightings that are written."""
+    """An opened scene, surveyed under the lightings that are written, and its folders in the making."""
 
     source: DatasetSource
     record: SceneRecord
@@ -46,6 +47,8 @@ class _Scene:
     lightings: tuple[Lighting, ...]
     geometry: Geometry
     name: str
+    flat: Path | None
+    maps: Path | None
 
     def picture(self, radiance: Float32, lighting: Lighting, step: int) -> UInt8:
         """Tone-map and shrink a rendered picture, in this order, as published."""
@@ -64,7 +67,7 @@ class Choice:
 
 
 def export_scene(job: Job) -> dict[str, dict[str, FileEntry]]:
-    """Write one scene; returns the files of each folder. Raises `StoreError` naming a file that cannot be read."""
+    """Write one scene; returns the files of each folder. Raises `StoreError` where it cannot be read, or is empty."""
     request = job.request
     source = open_dataset(request.address)
     record = source.scene(job.index)
@@ -73,14 +76,14 @@ def export_scene(job: Job) -> dict[str, dict[str, FileEntry]]:
     choice = choose(record, conditions, request.exposures)
     lightings, geometry = survey(source, record, frame, (choice.base, choice.insert) if job.evaluation else conditions)
     folders = [folder for folder in (job.flat, job.maps) if folder]
-    scene = _Scene(source, record, frame, lightings, geometry, Path(folders[0]).name)
     with contextlib.ExitStack() as stack:
         flat, maps = (stack.enter_context(whole_folder(request.out, f)) if f else None for f in (job.flat, job.maps))
-        gaussians = _gaussians(scene, request.map_size) if maps else None
+        scene = _Scene(source, record, frame, lightings, geometry, Path(folders[0]).name, flat, maps)
+        colors = maps3d.ColorMaps(_gaussians(scene, request.map_size)) if maps else None
         if job.evaluation:
-            _evaluation(scene, choice, flat, maps, gaussians)
+            _evaluation(scene, choice, colors)
         else:
-            _training(scene, request.exposures, flat, maps, gaussians)
+            _training(scene, request.exposures, colors)
     return {folder: files_of(request.out, folder) for folder in folders}
 
 
@@ -95,17 +98,17 @@ def choose(record: SceneRecord, conditions: Sequence[LightingCondition], exposur
 
 def _gaussians(scene: _Scene, side: int) -> SceneGaussians:
     spec = scene.record.scene
-    return maps3d.make_gaussians(scene.geometry, [spec.instance_id(name) for name in spec.insertable], side)
+    try:
+        return maps3d.make_gaussians(scene.geometry, [spec.instance_id(name) for name in spec.insertable], side)
+    except ValueError as error:
+        raise StoreError(f"scene {spec.index}: {error}") from None
 
 
-def _training(
-    scene: _Scene, exposures: int, flat: Path | None, maps: Path | None, gaussians: SceneGaussians | None
-) -> None:
+def _training(scene: _Scene, exposures: int, colors: maps3d.ColorMaps | None) -> None:
     objects = scene.record.scene.insertable
     folders = [lighting.folder(step) for lighting in scene.lightings for step in range(exposures)]
-    colors = maps3d.ColorMaps(gaussians) if gaussians else None
-    if flat:
-        maps2d.write_training_geometry(flat, scene.name, folders, scene.geometry)
+    if scene.flat:
+        maps2d.write_training_geometry(scene.flat, scene.name, folders, scene.geometry)
     for number, view in enumerate(scene.source.views(scene.record)):
         for lighting in scene.lightings:
             lit = lighting.condition
@@ -113,35 +116,33 @@ def _training(
             for step in range(exposures):
                 folder = lighting.folder(step)
                 image, *backgrounds = (scene.picture(radiance, lighting, step) for radiance in radiances)
-                if flat:
-                    maps2d.write_training_pictures(flat / folder, number, image, backgrounds)
+                if scene.flat:
+                    maps2d.write_training_pictures(scene.flat / folder, number, image, backgrounds)
                 if colors:
                     colors.fill(f"{folder}/img", number, image)
                     for j, background in enumerate(backgrounds):
                         colors.fill(f"{folder}/bg{j}", number, background)
-    if maps and gaussians and colors:
-        maps3d.write_training_maps(maps, scene.name, folders, gaussians=gaussians, maps=colors, objects=len(objects))
+    if scene.maps and colors:
+        maps3d.write_training_maps(scene.maps, scene.name, folders, colors, objects=len(objects))
 
 
-def _evaluation(
-    scene: _Scene, choice: Choice, flat: Path | None, maps: Path | None, gaussians: SceneGaussians | None
-) -> None:
+def _evaluation(scene: _Scene, choice: Choice, colors: maps3d.ColorMaps | None) -> None:
     name = scene.record.scene.insertable[choice.object]
     base, insert = scene.lightings
-    colors = maps3d.ColorMaps(gaussians) if gaussians else None
     for number, view in enumerate(scene.source.views(scene.record)):
         target = scene.picture(compose.target(view, base.condition), base, choice.base_step)
         background = scene.picture(compose.background(view, name, base.condition), base, choice.base_step)
         inserted = scene.picture(compose.target(view, insert.condition), insert, choice.insert_step)
         composite = maps2d.paste(inserted, background, scene.geometry.masks[number, choice.object])
-        if flat:
+        if scene.flat:
+            depth, mask = scene.geometry.depths[number], scene.geometry.environments[number]
             maps2d.write_evaluation_pictures(
-                flat, number, scene.geometry, composite=composite, background=background, target=target
+                scene.flat, number, composite=composite, bg=background, gt=target, depth=depth, mask=mask
             )
         if colors:
             colors.fill("composite", number, composite)
             colors.fill("gt", number, target)
-    if flat:
-        maps2d.write_evaluation_transforms(flat, scene.name, scene.geometry)
-    if maps and gaussians and colors:
-        maps3d.write_evaluation_maps(maps, gaussians, colors)
+    if scene.flat:
+        maps2d.write_evaluation_transforms(scene.flat, scene.name, scene.geometry)
+    if scene.maps and colors:
+        maps3d.write_evaluation_maps(scene.maps, colors)

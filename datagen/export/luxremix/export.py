@@ -8,8 +8,8 @@ mix = background + the sum over lights of (power * color of the mix / power * co
 
 import tempfile
 from collections.abc import Callable
-from contextlib import ExitStack
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +19,7 @@ from multilight.datagen.export.files import write_json
 from multilight.datagen.export.images import jpeg, png, to_byte
 from multilight.datagen.export.luxremix.meta import Passes, draw_passes, metadata
 from multilight.datagen.export.tars import TarShards
-from multilight.datagen.storage.copies import Copy, Report, making
-from multilight.datagen.storage.manifest import ScenePart, scene_part
+from multilight.datagen.storage.copies import Report, making
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.source import DatasetSource
 from multilight.datagen.storage.store import ViewData, in_half, write_exr
@@ -51,13 +50,22 @@ class LuxremixOutcome:
 def export_luxremix(source: DatasetSource, out: Path, *, tar: bool, report: Report) -> LuxremixOutcome:
     """Write every scene as a folder `000123`, kept where it is there, or all into new tars of ten scenes."""
     with making(out, "luxremix", source, {"tar": tar}) as copy:
+        if tar and copy.holds(record.index for record in source.scenes() if draw_passes(record).lights):
+            return _each(source, lambda record, passes: None, report)
         if tar:
-            return _write_tars(source, copy, report)
+            shards = partial(TarShards, most_bytes=1 << 62, most_groups=SCENES_A_TAR, digits=4)
+            with copy.filling() as (folder, scenes), shards(folder) as tars:
 
-        def write(record: SceneRecord, passes: Passes, part: ScenePart) -> None:
+                def pack(record: SceneRecord, passes: Passes) -> None:
+                    tars.add("training" if record.split == "train" else "test", _packed(source, record, passes))
+                    scenes.append(record.index)
+
+                return _each(source, pack, report)
+
+        def write(record: SceneRecord, passes: Passes) -> None:
             name = f"{record.index:06d}"
-            if not copy.keeps(name, part):
-                with copy.filling_part(name, part) as folder:
+            if not copy.keeps(name, record.index):
+                with copy.filling_part(name, record.index) as folder:
                     write_scene(source, record, passes, folder)
 
         outcome = _each(source, write, report)
@@ -65,11 +73,7 @@ def export_luxremix(source: DatasetSource, out: Path, *, tar: bool, report: Repo
         return outcome
 
 
-def _each(
-    source: DatasetSource,
-    write: Callable[[SceneRecord, Passes, ScenePart], None],
-    report: Report,
-) -> LuxremixOutcome:
+def _each(source: DatasetSource, write: Callable[[SceneRecord, Passes], None], report: Report) -> LuxremixOutcome:
     """Have every scene with layers written, and count."""
     outcome = LuxremixOutcome()
     for done, record in enumerate(source.scenes()):
@@ -78,32 +82,10 @@ def _each(
             outcome.unlit.append(record.index)
         else:
             with source.passing_over(record.index):
-                write(record, passes, scene_part(source, record.index))
+                write(record, passes)
                 outcome.scenes += 1
                 outcome.layers += len(passes.lights) * len(record.views)
         report(done + 1, len(source.indices))
-    return outcome
-
-
-def _write_tars(source: DatasetSource, copy: Copy, report: Report) -> LuxremixOutcome:
-    wanted = {f"{r.index:06d}": scene_part(source, r.index) for r in source.scenes() if draw_passes(r).lights}
-    if copy.holds(wanted):
-        return _each(source, lambda record, passes, part: None, report)
-    parts: dict[str, ScenePart] = {}
-    with copy.filling() as folder, ExitStack() as open_shards:
-        shards = {
-            split: TarShards(folder, split, most_bytes=1 << 62, most_groups=SCENES_A_TAR, digits=4)
-            for split in ("training", "test")
-        }
-        for writer in shards.values():
-            open_shards.callback(writer.close)
-
-        def write(record: SceneRecord, passes: Passes, part: ScenePart) -> None:
-            shards["training" if record.split == "train" else "test"].add(_packed(source, record, passes))
-            parts[f"{record.index:06d}"] = part
-
-        outcome = _each(source, write, report)
-    copy.finish(*(name for writer in shards.values() for name, _ in writer.shards), parts=parts)
     return outcome
 
 
@@ -128,20 +110,21 @@ def write_scene(source: DatasetSource, record: SceneRecord, passes: Passes, fold
 
 def _write_light(folder: Path, number: int, view: ViewData, passes: Passes) -> None:
     """Write the mixes (passes 0 to 3), the environment (1000) and each light alone (1001 on)."""
-    layers, ev = view.variants[ALL], passes.exposure_ev
+    layers = view.variants[ALL]
+
+    def write(name: int, kind: str, picture: Float32, channels: dict[str, NDArray[np.floating]]) -> None:
+        stem = f"{name:04d}.{number:04d}"
+        write_exr(folder / f"{stem}.rgb_{kind}.exr", channels)
+        (folder / f"{stem}.rgb_ldr_{kind}.png").write_bytes(png(to_display(picture, passes.exposure_ev)))
+
     for name, condition in enumerate(passes.mixes):
         picture = mix(layers, view.lights, condition)
-        write_exr(folder / f"{name:04d}.{number:04d}.rgb_mix.exr", _rgba(picture))
-        (folder / f"{name:04d}.{number:04d}.rgb_ldr_mix.png").write_bytes(png(to_display(picture, ev)))
+        write(name, "mix", picture, _rgba(picture))
     background = mix(layers, view.lights, passes.background)
-    write_exr(folder / f"1000.{number:04d}.rgb_bg.exr", _rgba(background))
-    (folder / f"1000.{number:04d}.rgb_ldr_bg.png").write_bytes(png(to_display(background, ev)))
+    write(1000, "bg", background, _rgba(background))
     for name, light in enumerate(passes.lights, 1001):
         layer = layers[view.lights.index(light.name)]
-        write_exr(
-            folder / f"{name}.{number:04d}.rgb_olat.exr", dict(zip("RGB", np.moveaxis(layer, -1, 0), strict=True))
-        )
-        (folder / f"{name}.{number:04d}.rgb_ldr_olat.png").write_bytes(png(to_display(layer, ev)))
+        write(name, "olat", layer, dict(zip("RGB", np.moveaxis(layer, -1, 0), strict=True)))
 
 
 def _write_geometry(folder: Path, number: int, view: ViewData, record: SceneRecord, passes: Passes) -> None:

@@ -68,10 +68,19 @@ def draw_passes(record: SceneRecord) -> Passes:
 
 def metadata(record: SceneRecord, passes: Passes, near_far: Sequence[tuple[float, float]]) -> dict[int, dict[str, Any]]:
     """Make the content of every pass' `meta.json`; `near_far` is the range of depth [m] of each view."""
+    cameras = record.scene.cameras
+    centre = np.mean([camera.pose()[:2, 3] for camera in cameras], axis=0).tolist()
+    poses = [_pose(camera, depths) for camera, depths in zip(cameras, near_far, strict=True)]
     shared = {
-        "scene_mod": {"added_ifg_lights": [], "added_led_signs": [], "room_id": 0, "room_center": _centre(record)},
-        "camera_pose": [_pose(camera, depths) for camera, depths in zip(record.scene.cameras, near_far, strict=True)],
-        "blender_cfg": _settings(record, passes),
+        "scene_mod": {"added_ifg_lights": [], "added_led_signs": [], "room_id": 0, "room_center": centre},
+        "camera_pose": poses,
+        "blender_cfg": {
+            "resolution": [cameras[0].width, cameras[0].height],
+            "cam_type": "PERSP",
+            "fov": poses[0]["fov"],
+            "denoise": "OPENIMAGEDENOISE" if record.denoised else "NONE",
+            "exposure_ev": passes.exposure_ev,
+        },
         "envmap": _environment(record),
     }
     reference = passes.mixes[0]
@@ -127,11 +136,6 @@ def _type(record: SceneRecord, light: Light) -> str:
     return next((word for part, word in TYPES.items() if part in category), "LED_Sign_Plane")
 
 
-def _centre(record: SceneRecord) -> list[float]:
-    eyes = np.mean([camera.pose()[:2, 3] for camera in record.scene.cameras], axis=0)
-    return [float(x) for x in eyes]
-
-
 def _pose(camera: Camera, near_far: tuple[float, float]) -> dict[str, Any]:
     """Say where a camera stands, its rotation (OpenGL axes to world, w x y z), and `fov` [degrees], horizontal."""
     x, y, z, w = Rotation.from_matrix(camera.pose()[:3, :3]).as_quat()
@@ -141,17 +145,6 @@ def _pose(camera: Camera, near_far: tuple[float, float]) -> dict[str, Any]:
         "rotation": [float(q) for q in (w, x, y, z)],
         "fov": float(fov),
         "smpl_dist": list(near_far),
-    }
-
-
-def _settings(record: SceneRecord, passes: Passes) -> dict[str, Any]:
-    camera = record.scene.cameras[0]
-    return {
-        "resolution": [camera.width, camera.height],
-        "cam_type": "PERSP",
-        "fov": _pose(camera, (0.0, 0.0))["fov"],
-        "denoise": "OPENIMAGEDENOISE" if record.denoised else "NONE",
-        "exposure_ev": passes.exposure_ev,
     }
 
 

@@ -1,6 +1,5 @@
 """The card of a shard set: what the Hugging Face hub and its readers want to know, and people too."""
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,12 +12,13 @@ HUB_LICENCES = frozenset({"apache-2.0", "cc-by-3.0", "cc-by-4.0", "cc-by-sa-3.0"
 """Names the hub knows, of those that assets come under; what is not among them is `other`."""
 SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
 PICTURES = ("background.png", "composite.png", "depth.png", "mask.png", "target.png")
+WHOLE, WORD, NUMBERS = "dtype: int64", "dtype: string", "list:\n        list: float64"
 META = {
-    "scene": "int64", "view": "int64", "object": "string", "category": "string", "kind": "string", "split": "string",
-    "insert_condition": "string", "base_condition": "string", "lights": ["string"], "insert_gains": [["float64"]],
-    "base_gains": [["float64"]], "box": ["int64"], "K": [["float64"]], "c2w": [["float64"]],
+    "scene": WHOLE, "view": WHOLE, "object": WORD, "category": WORD, "kind": WORD, "split": WORD,
+    "insert_condition": WORD, "base_condition": WORD, "lights": "list: string", "insert_gains": NUMBERS,
+    "base_gains": NUMBERS, "box": "list: int64", "K": NUMBERS, "c2w": NUMBERS,
 }  # fmt: skip
-"""Keys of `meta.json` and their types, lists in brackets."""
+"""Keys of `meta.json` and their types, as the card has them."""
 
 TEXT = """
 # {title}
@@ -91,8 +91,8 @@ def write_card(
 
 
 def _front_matter(shards: Shards, credits: Sequence[AssetCredit]) -> list[str]:
-    counts = Counter(credit.licence.lower() for credit in credits) or Counter(["cc0-1.0"])
-    licences = sorted({name if name in HUB_LICENCES else "other" for name in counts})
+    names = {credit.licence.lower() for credit in credits} or {"cc0-1.0"}
+    licences = sorted({name if name in HUB_LICENCES else "other" for name in names})
     size = next((name for most, name in SIZES if shards.samples < most), "1M<n<10M")
     lines = ["license:", *(f"- {name}" for name in licences)]
     if "other" in licences:
@@ -101,22 +101,8 @@ def _front_matter(shards: Shards, credits: Sequence[AssetCredit]) -> list[str]:
     lines += ["size_categories:", f"- {size}", "configs:", "- config_name: default", "  data_files:"]
     for split in shards.splits:
         lines += [f"  - split: {split}", f"    path: {split}-*.tar"]
+    struct = [line for name, kind in META.items() for line in (f"    - name: {name}", f"      {kind}")]
+    features = {name: ["    dtype: image"] for name in PICTURES} | {"meta.json": ["    struct:", *struct]}
     lines += ["dataset_info:", "  features:"]
-    for name in sorted((*PICTURES, "meta.json")):
-        lines += [f"  - name: {name}"] + (["    dtype: image"] if name in PICTURES else _struct(META, "    "))
+    lines += [line for name in sorted(features) for line in (f"  - name: {name}", *features[name])]
     return [*lines, "  - name: __key__", "    dtype: string", "  - name: __url__", "    dtype: string"]
-
-
-def _struct(keys: Mapping[str, object], indent: str) -> list[str]:
-    lines = [f"{indent}struct:"]
-    for name, kind in keys.items():
-        lines += [f"{indent}- name: {name}", *_kind(kind, indent + "  ")]
-    return lines
-
-
-def _kind(kind: object, indent: str) -> list[str]:
-    if not isinstance(kind, list):
-        return [f"{indent}dtype: {kind}"]
-    if isinstance(kind[0], list):
-        return [f"{indent}list:", f"{indent}  list: {kind[0][0]}"]
-    return [f"{indent}list: {kind[0]}"]

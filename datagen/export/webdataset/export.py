@@ -3,7 +3,6 @@
 import json
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import permutations
 from pathlib import Path
@@ -16,7 +15,6 @@ from multilight.datagen.export.images import depth_mm, png, to_byte
 from multilight.datagen.export.tars import TarShards
 from multilight.datagen.export.webdataset.card import Shards, write_card
 from multilight.datagen.storage.copies import Report, making
-from multilight.datagen.storage.manifest import ScenePart, scene_part
 from multilight.datagen.storage.records import AssetCredit, SceneRecord
 from multilight.datagen.storage.source import DatasetSource
 from multilight.datagen.storage.store import ViewData
@@ -47,44 +45,32 @@ def export_webdataset(source: DatasetSource, out: Path, options: ShardOptions, r
     Raises `UserError` where `out` holds something else.
     """
     with making(out, "webdataset", source, {"pairs": options.pairs, "shard_mb": options.most_bytes // 10**6}) as copy:
-        if copy.holds({f"{index:06d}": scene_part(source, index) for index in source.indices}):
+        if copy.holds(source.indices):
             return None
-        with copy.filling() as folder:
-            shards, parts = _fill(source, folder, out.name, options, report)
-        copy.finish(*_files(shards), parts=parts)
+        with copy.filling() as (folder, scenes):
+            shards, credits = _fill(source, folder, scenes, options, report)
+            write_card(folder, shards, source.record, list(credits.values()), title=out.name)
     return shards
 
 
-def _files(shards: Shards) -> list[str]:
-    return ["README.md", *(name for files in shards.splits.values() for name, _ in files)]
-
-
 def _fill(
-    source: DatasetSource, folder: Path, title: str, options: ShardOptions, report: Report
-) -> tuple[Shards, dict[str, ScenePart]]:
-    """Write all shards and the card; returns them, and the scenes that went in."""
-    parts: dict[str, ScenePart] = {}
-    writers: dict[str, TarShards] = {}
+    source: DatasetSource, folder: Path, scenes: list[int], options: ShardOptions, report: Report
+) -> tuple[Shards, dict[str, AssetCredit]]:
+    """Write all shards and note the scenes that went in; returns whom to credit as well."""
     credits: dict[str, AssetCredit] = {}
-    with ThreadPoolExecutor(options.threads) as pool, ExitStack() as open_shards:
+    with ThreadPoolExecutor(options.threads) as pool, TarShards(folder, options.most_bytes) as tars:
         for done, record in enumerate(source.scenes()):
             with source.passing_over(record.index):
-                part = scene_part(source, record.index)
                 samples = [sample for view in _views(source, record, options, pool) for sample in view]
-                if record.split not in writers:
-                    writers[record.split] = TarShards(folder, record.split, options.most_bytes)
-                    open_shards.callback(writers[record.split].close)
-                writer = writers[record.split]
                 for key, members in samples:
-                    writer.add({f"{key}.{name}": content for name, content in members.items()})
+                    tars.add(record.split, {f"{key}.{name}": content for name, content in members.items()})
                 credits |= {credit.id: credit for credit in record.assets}
-                parts[f"{record.index:06d}"] = part
+                scenes.append(record.index)
             report(done + 1, len(source.indices))
-    shards = Shards({split: tuple(writer.shards) for split, writer in writers.items() if writer.shards})
+    shards = Shards(tars.shards)
     if not shards.samples:
         raise UserError(f"{source.address}: no view shows an insertable object; nothing to export")
-    write_card(folder, shards, source.record, list(credits.values()), title=title)
-    return shards, parts
+    return shards, credits
 
 
 def draw_pairs(record: SceneRecord, view: int, name: str, count: int) -> list[tuple[int, int]]:

@@ -35,14 +35,14 @@ if choose_variant().variant is None:
 import drjit as dr
 import mitsuba as mi
 
-from multilight.datagen.backends.mitsuba import MitsubaBackend
+from multilight.datagen.backends.mitsuba import MitsubaBackend, bsdf, integrator
 from multilight.datagen.backends.mitsuba.adaptive import first_blocks
 from multilight.datagen.backends.mitsuba.arrays import SceneArrays, Textures, scene_arrays
 from multilight.datagen.backends.mitsuba.backend import _Batch
 from multilight.datagen.backends.mitsuba.bsdf import Tables
 from multilight.datagen.backends.mitsuba.cameras import Lens
 from multilight.datagen.backends.mitsuba.integrator import World, trace
-from multilight.datagen.backends.mitsuba.lights import emitters_of
+from multilight.datagen.backends.mitsuba.lights import Sample, emitters_of
 from multilight.datagen.backends.mitsuba.surfaces import Surfaces, accelerate
 
 WHITE = (1.0, 1.0, 1.0)
@@ -220,19 +220,45 @@ def _sampler() -> mi.Sampler:
     return sampler
 
 
+WEIGHT = integrator._weight
+
+
+def _direct_one(world: World, path: Any, hit: Any, c: Any, frame: mi.Frame3f, on: mi.Bool) -> None:
+    """Sample one of the lights, each with the same chance."""
+    result, count = path.result, len(world.emitters)
+    u = path.sampler.next_2d(integrator.LIGHT, path.depth)
+    scaled = u.x * count
+    chosen = dr.minimum(mi.UInt32(scaled), count - 1)
+    u = mi.Point2f(scaled - mi.Float(chosen), u.y)
+    found = Sample(mi.Vector3f(0, 0, 1), mi.Float(0), mi.Color3f(0), mi.Float(0))
+    delta = mi.Bool(False)
+    for number, light in enumerate(world.emitters):
+        found = dr.select(chosen == number, light.sample(hit.p, u), found)
+        delta |= (chosen == number) & light.delta
+    value, pdf = bsdf.evaluate(c, frame.to_local(found.d))
+    weight = dr.select(delta, 1, WEIGHT(found.pdf / count, pdf)) * count
+    light_in = path.throughput * value * found.weight * weight
+    usable, passed, met = integrator._arriving(world, hit, found, light_in, on)
+    result.met |= dr.select(usable, met, 0)
+    for number in range(count):
+        result.layers[number] += dr.select(usable & (chosen == number), light_in * passed, 0)
+
+
 # Glowing bodies shine on both sides: points on the far side, within a ray's tolerance of an edge, count with us.
 @pytest.mark.parametrize(
     ("chosen", "share"), [({"point", "sun", "sky"}, 1e-3), ({"point", "sun", "sky", "glow"}, 0.02)]
 )
 def test_layers_sum_to_the_builtin_path_integrator_path_by_path(
-    library: AssetLibrary, chosen: set[str], share: float
+    library: AssetLibrary, chosen: set[str], share: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     builtin = _builtin(chosen)
     order = [PLUGINS[str(e).split("[")[0]] for e in builtin.emitters()]
     lights = {light.name: light for light in OWN_LIGHTS}
     world = _ours(tuple(lights[name] for name in order), library)
     sampler: Any = Sequential(_sampler())
-    result = trace(world, _rays(), sampler, max_bounces=5, one_light=True)
+    monkeypatch.setattr(integrator, "_direct", _direct_one)
+    monkeypatch.setattr(integrator, "_weight", lambda met, sampled: WEIGHT(met, sampled / len(order)))
+    result = trace(world, _rays(), sampler, max_bounces=5)
     path = mi.load_dict({"type": "path", "max_depth": 7, "rr_depth": 3})
     expected = np.array(path.sample(builtin, _sampler(), mi.RayDifferential3f(_rays()))[0])
     total = np.array(sum(result.layers[1:], result.layers[0]))
@@ -415,8 +441,8 @@ def test_only_paths_that_met_a_glowing_object_are_traced_again(backend: MitsubaB
     settings = RenderSettings(spp=4, max_bounces=1, threads=2)
     backend.render(RenderJob(scene, LightRig(lights=lights), settings, 0))
     camera = scene.cameras[0]
-    assert backend._synced is not None
-    batch = _Batch(backend._synced, Lens(camera), settings, 0, first_blocks(camera.width * camera.height, 4))
+    assert backend.synced is not None
+    batch = _Batch(backend.synced, Lens(camera), settings, 0, first_blocks(camera.width * camera.height, 4))
     result = batch._trace(None, dr.arange(mi.UInt32, camera.width * camera.height * 4))
     lit = np.array(result.first) > 0
     assert 0 < np.mean(np.array(result.met)[lit] != 0) < 0.25

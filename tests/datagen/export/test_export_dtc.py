@@ -334,10 +334,14 @@ def test_a_broken_view_costs_its_scene_only(dataset: Path, tmp_path: Path, capsy
     path = scene_dir(broken, 0) / read_scene(scene_dir(broken, 0)).views[1].file
     path.write_bytes(path.read_bytes()[:1000])
     out = tmp_path / "out"
-    assert main(["export", "dtc-multilight", str(broken), "--out", str(out), *OPTIONS]) == 1
-    error = capsys.readouterr().err
-    assert "scene 0" in error
-    assert str(path) in error
+    words = ["export", "dtc-multilight", str(broken), "--out", str(out), *OPTIONS]
+    assert main(words) == 1
+    assert str(path) in capsys.readouterr().err
+    assert main([*words, "--on-broken", "skip"]) == 0
+    shown = capsys.readouterr().out
+    assert "written 1, kept 0, passed over 1" in shown or "written 0, kept 1, passed over 1" in shown
+    assert f"scene 0: {path}" in shown
+    assert (out / "README.md").read_text().count("0 scenes of split `train`") == 1
     assert not (out / TRAIN[0] / "scene_00000").exists()
     assert (out / EVAL[1] / "scene_00001/gt.png").is_file()
 

@@ -12,9 +12,9 @@ from pxr import Gf, Usd, UsdGeom, UsdLux, UsdShade
 from multilight.datagen.cli import main
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.store import read_scene, scene_dir
-from multilight.datagen.usd.check import stage_faults
 from multilight.datagen.usd.read import StageScene, read_stage
 from multilight.datagen.usd.stage import STAGE, write_stage
+from multilight.datagen.usd.write import stage_faults
 from multilight.lights.display.tonemap import to_display
 from multilight.lights.spec import AreaLight, LightRig, PointLight, SpotLight
 from multilight.scenes.assets.formats.ies import parse_ies
