@@ -24,6 +24,8 @@ WHITE: Rgb = (1.0, 1.0, 1.0)
 GELLED = 1 / 12
 """Probability that one lamp of several is behind a gel, where conditions are not wild."""
 DAYLIGHT = 6504.0  # K, of light that states no temperature
+MIRED = (190.0, 45.0)
+"""Mean and standard deviation of the reciprocal temperatures [1/MK] that white light is changed to: about 5300 K."""
 
 
 def sample_conditions(rng: Rng, rig: LightRig, count: int = 12, *, wild: bool = False) -> tuple[LightingCondition, ...]:
@@ -77,7 +79,8 @@ def _white_tint(rng: Rng, light: Light) -> Rgb:
     """
     if light.gel is not None or rng.random() < 0.5:
         return WHITE
-    new, own = 1.0 / float(rng.uniform(1 / WHITES[1], 1 / WHITES[0])), light.colour_temperature or DAYLIGHT
+    new = float(np.clip(1e6 / max(rng.normal(*MIRED), 1.0), *WHITES))
+    own = light.colour_temperature or DAYLIGHT
     return _ratio(temperature_to_rgb(new), temperature_to_rgb(own))
 
 
