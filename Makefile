@@ -24,7 +24,7 @@ BIN := .venv/bin
 MULTILIGHT := $(BIN)/multilight
 PIP := $(BIN)/pip --quiet --disable-pip-version-check --no-input install -c constraints.txt
 OPTIONS := $(if $(SCENES),--scenes $(SCENES)) $(if $(SEED),--seed $(SEED)) \
-	$(if $(WORKERS),--workers $(WORKERS)) $(if $(CONFIG),--config $(CONFIG))
+	$(if $(WORKERS),--workers $(WORKERS)) $(if $(CONFIG),--config $(CONFIG),--preset demo)
 # What bpy and Dr.Jit link against and a bare system lacks. Without root they are unpacked into .venv/system.
 LIBRARIES := libx11-6 libxcb1 libxau6 libxdmcp6 libbsd0 libmd0 libxrender1 libxfixes3 libxi6 libxext6 libxkbcommon0 \
 	libsm6 libice6 libuuid1 libgl1 libglx0 libglvnd0 libgomp1 libatomic1

@@ -1,7 +1,7 @@
 """The command `export`: a dataset written out in a layout that others read, one sub-command a format."""
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +15,7 @@ from multilight.datagen.text import plain
 
 if TYPE_CHECKING:
     from multilight.datagen.export.captures.capture import Write
+    from multilight.datagen.report import Report
     from multilight.datagen.storage.source import DatasetSource
 
 
@@ -48,7 +49,7 @@ class _Source:
     """What to do about a scene that cannot be read: stop with its file and the reason, or pass it over and count it."""
 
     @contextmanager
-    def opened(self) -> "Iterator[tuple[DatasetSource, Callable[[float, float], None]]]":
+    def opened(self) -> "Iterator[tuple[DatasetSource, Report]]":
         """Open the dataset, show progress, and say at the end what was passed over."""
         from multilight.datagen.commands.output import progress
         from multilight.datagen.storage.source import open_dataset

@@ -11,11 +11,11 @@ import numpy as np
 from multilight.datagen.config.dataset import DatasetConfig
 from multilight.datagen.errors import UserError
 from multilight.datagen.production.scene import sample_scene
+from multilight.datagen.report import Report
 from multilight.datagen.stats.duplicates import Bits, Pair, alike_in_content, alike_in_picture, picture_hash
 from multilight.datagen.stats.facts import SceneFacts, scene_facts
 from multilight.datagen.stats.pictures import picture_values, read_preview
 from multilight.datagen.stats.quantities import QUANTITIES, Coverage, Quantity, Value, coverage_of
-from multilight.datagen.storage.copies import Report
 from multilight.datagen.storage.source import open_dataset
 from multilight.datagen.storage.store import scene_dir
 from multilight.scenes.assets.library import AssetLibrary

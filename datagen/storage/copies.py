@@ -47,8 +47,6 @@ from multilight.datagen.storage.store import file_inside, write_text
 
 WORK = "work"
 """Folder in the root where parts are made."""
-Report = Callable[[float, float], None]
-"""Called with how much is done and how much there is to do."""
 Files = Mapping[str, FileEntry]
 _Job = TypeVar("_Job")
 _Made = TypeVar("_Made")

@@ -14,7 +14,8 @@ import numpy as np
 import polars as pl
 
 from multilight.datagen.errors import StoreError, UserError
-from multilight.datagen.storage.copies import Copy, Report, files_of, in_processes, making, whole_folder
+from multilight.datagen.report import Report
+from multilight.datagen.storage.copies import Copy, files_of, in_processes, making, whole_folder
 from multilight.datagen.storage.index import index_bytes
 from multilight.datagen.storage.manifest import FileEntry
 from multilight.datagen.storage.packed import PackedView, pack_view, read_packed, value_fault, write_packed

@@ -6,7 +6,8 @@ from pxr import Usd, UsdValidation
 
 from multilight.datagen.errors import UserError
 from multilight.datagen.production.library import open_library
-from multilight.datagen.storage.copies import Report, making
+from multilight.datagen.report import Report
+from multilight.datagen.storage.copies import making
 from multilight.datagen.storage.source import DatasetSource
 from multilight.datagen.usd.stage import STAGE, write_stage
 

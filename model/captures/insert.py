@@ -1,11 +1,11 @@
 """Put an object into a capture and harmonize all views alike."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from multilight.datagen.errors import UserError
+from multilight.datagen.report import Report
 from multilight.model.captures.capture import Capture
 from multilight.model.captures.confidence import depth_confidence, repaired
 from multilight.model.captures.objects import ObjectView, PlacedObject
@@ -18,8 +18,6 @@ from multilight.model.networks.compositing2d import Compositing2D
 from multilight.model.networks.compositing3d import Compositing3D, SceneNetwork, harmonize_views
 from multilight.scenes.arrays import Float32
 from multilight.scenes.gaussians.from_views import Gaussians
-
-Report = Callable[[int, int], None]
 
 LEAST_SEEN = 16
 """Pixels of the object, over all views, from which on it is worth harmonizing."""

@@ -53,7 +53,12 @@ def insert_into_files(wanted: Insertion) -> None:
     seen = int((inserted.coverage.max(axis=(1, 2)) > 0).sum())
     _tell(f"{len(capture.names)} views of {capture.images.shape[2]} x {capture.images.shape[1]}, object in {seen}")
     result = harmonize_capture(
-        capture, inserted, network, stage3d, side=side, report=lambda done, count: _tell(f"view {done}/{count}")
+        capture,
+        inserted,
+        network,
+        stage3d,
+        side=side,
+        report=lambda done, total, note="": _tell(f"view {done}/{total}"),
     )
     with full_disk_told(out):
         _write(out, capture, inserted, result)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import torch
 
+from multilight.datagen.report import Report, silent
 from multilight.model.evaluation.baselines import BASELINES, Baseline
 from multilight.model.evaluation.cases import Case, Group, LazyGroup
 from multilight.model.evaluation.consistency import disagreement, shared_pairs
@@ -112,7 +113,7 @@ def evaluate(
     methods: Mapping[str, Method],
     *,
     lpips: Lpips | None = None,
-    report: Callable[[float, float], None] = lambda done, total: None,
+    report: Report = silent,
 ) -> Evaluation:
     """Harmonize every case with every method and compare with the truth; `report` is told (done, total) groups."""
     found = Evaluation(tuple(methods), megabytes=dict.fromkeys(methods, 0.0))

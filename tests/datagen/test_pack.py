@@ -13,6 +13,7 @@ from safetensors.numpy import load, save
 
 from multilight.datagen.cli import main
 from multilight.datagen.errors import StoreError, UserError
+from multilight.datagen.report import silent
 from multilight.datagen.storage.manifest import read_manifest
 from multilight.datagen.storage.pack import pack_dataset
 from multilight.datagen.storage.packed import SAME, pack_view, read_packed, write_packed
@@ -26,7 +27,7 @@ from tests.datagen.chain import chain
 
 
 def pack(native: Path, out: Path) -> Path:
-    pack_dataset(str(native), out, workers=1, report=lambda done, total: None)
+    pack_dataset(str(native), out, workers=1, report=silent)
     return out
 
 

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from multilight.datagen.cli import main
+from multilight.datagen.report import silent
 from multilight.datagen.stats.collect import measure_samples, summarize
 from multilight.datagen.stats.duplicates import alike_in_content, alike_in_picture, picture_hash
 from multilight.datagen.stats.facts import SceneFacts, scene_facts
@@ -238,7 +239,7 @@ def test_samples_are_those_of_the_dataset(spheres_dataset: Path) -> None:
     options = dict(zip([w[2:] for w in SPHERES[::2]], SPHERES[1::2], strict=True))
     config = load_config(None, {k: int(v) if v.isdigit() else v for k, v in options.items()})
     library = AssetLibrary()
-    sampled = measure_samples(config, 2, library, lambda done, total: None)
+    sampled = measure_samples(config, 2, library, silent)
     stored = [read_scene(scene_dir(spheres_dataset, i)) for i in range(2)]
     facts = [scene_facts(r.scene, r.rig, r.split, library) for r in stored]
     assert sampled.values == summarize("t", facts, []).values

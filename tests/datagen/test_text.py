@@ -18,6 +18,7 @@ from multilight.datagen.cli import main
 from multilight.datagen.export.credits import credit_lines
 from multilight.datagen.export.dtc.readme import write_readme
 from multilight.datagen.export.webdataset.card import Shards, write_card
+from multilight.datagen.report import silent
 from multilight.datagen.stats.collect import Leak, measure_dataset
 from multilight.datagen.stats.duplicates import Pair
 from multilight.datagen.stats.page import print_summary, write_page
@@ -108,7 +109,7 @@ def test_plots_show_words_as_they_are() -> None:
 def test_the_statistics_page_shows_names_as_they_are(
     spheres_dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    found = measure_dataset(spheres_dataset, AssetLibrary(), lambda done, total: None)
+    found = measure_dataset(spheres_dataset, AssetLibrary(), silent)
     pair = Pair(0, 1, "content", 0.1)
     hostile = replace(found, title=HOSTILE, leaks=(Leak(HOSTILE, ("train", "test")),), duplicates=(pair,))
     write_page(hostile, tmp_path)

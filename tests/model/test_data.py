@@ -15,6 +15,7 @@ import torch
 from torch.utils.data import DataLoader, DistributedSampler
 
 from multilight.datagen.errors import StoreError, UserError
+from multilight.datagen.report import silent
 from multilight.datagen.storage.pack import pack_dataset
 from multilight.datagen.storage.place import find_place
 from multilight.datagen.storage.source import open_dataset
@@ -53,7 +54,7 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 @pytest.fixture(scope="module")
 def packed(spheres_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("packed") / "copy"
-    pack_dataset(str(spheres_dataset), out, workers=1, report=lambda done, total: None)
+    pack_dataset(str(spheres_dataset), out, workers=1, report=silent)
     return out
 
 

@@ -17,6 +17,7 @@ from trimesh.visual.material import PBRMaterial
 
 from multilight.datagen.cli import main
 from multilight.datagen.errors import UserError
+from multilight.datagen.report import silent
 from multilight.datagen.storage.source import open_dataset
 from multilight.model.captures.assets import load_asset
 from multilight.model.captures.capture import Capture
@@ -249,7 +250,7 @@ def test_all_views_are_harmonized_alike(capture: Capture, ball: Path) -> None:
     """A network that says something else in every view: afterwards the views agree, and far pixels are untouched."""
     asset = load_asset(str(ball))
     inserted = insert_object(capture, PlacedObject(asset, placed(capture, asset, Wish())))
-    result = harmonize_capture(capture, inserted, random_network(), side=64, report=lambda done, count: None)
+    result = harmonize_capture(capture, inserted, random_network(), side=64, report=silent)
     assert inserted.coverage.max(axis=(1, 2)).min() == 1.0, "every view sees it"
     inside = inserted.coverage == 1.0
     before, after = (disagreement(capture, inserted.z_depths, v, inside) for v in (result.single, result.views))
@@ -263,7 +264,7 @@ def test_an_untrained_network_changes_nothing(capture: Capture, ball: Path) -> N
     asset = load_asset(str(ball))
     inserted = insert_object(capture, PlacedObject(asset, placed(capture, asset, Wish())))
     network = Compositing2D(NETWORK).eval()
-    result = harmonize_capture(capture, inserted, network, side=64, report=lambda done, count: None)
+    result = harmonize_capture(capture, inserted, network, side=64, report=silent)
     np.testing.assert_allclose(result.single, inserted.composites, atol=1e-5)
     changed = np.abs(result.views - inserted.composites).max(axis=-1)
     assert (changed < 1e-3).mean() > 0.85

@@ -8,7 +8,8 @@ from typing import Literal
 from multilight.datagen.errors import UserError
 from multilight.datagen.export.captures.points import ScenePoints, scene_points
 from multilight.datagen.export.images import depth_mm, png, to_byte
-from multilight.datagen.storage.copies import Report, making
+from multilight.datagen.report import Report
+from multilight.datagen.storage.copies import making
 from multilight.datagen.storage.manifest import Settings
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.source import DatasetSource

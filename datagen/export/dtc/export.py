@@ -16,7 +16,8 @@ from multilight.datagen.export.dtc.readme import write_readme
 from multilight.datagen.export.dtc.request import DtcExport
 from multilight.datagen.export.dtc.scene import Frame
 from multilight.datagen.export.dtc.work import Job, export_scene
-from multilight.datagen.storage.copies import Copy, Report, in_processes, making
+from multilight.datagen.report import Report
+from multilight.datagen.storage.copies import Copy, in_processes, making
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.source import open_dataset
 from multilight.datagen.storage.store import write_text

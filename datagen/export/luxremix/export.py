@@ -19,7 +19,8 @@ from multilight.datagen.export.files import write_json
 from multilight.datagen.export.images import jpeg, png, to_byte
 from multilight.datagen.export.luxremix.meta import Passes, draw_passes, metadata
 from multilight.datagen.export.tars import TarShards
-from multilight.datagen.storage.copies import Report, making
+from multilight.datagen.report import Report
+from multilight.datagen.storage.copies import making
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.source import DatasetSource
 from multilight.datagen.storage.store import ViewData, in_half, write_exr

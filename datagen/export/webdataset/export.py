@@ -14,7 +14,8 @@ from multilight.datagen.errors import UserError
 from multilight.datagen.export.images import depth_mm, png, to_byte
 from multilight.datagen.export.tars import TarShards
 from multilight.datagen.export.webdataset.card import Shards, write_card
-from multilight.datagen.storage.copies import Report, making
+from multilight.datagen.report import Report
+from multilight.datagen.storage.copies import making
 from multilight.datagen.storage.records import AssetCredit, SceneRecord
 from multilight.datagen.storage.source import DatasetSource
 from multilight.datagen.storage.store import ViewData
