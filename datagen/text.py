@@ -1,6 +1,8 @@
 """Text that comes from data, made safe for where it is shown: terminal, Markdown."""
 
+import difflib
 import re
+from collections.abc import Iterable
 
 from rich.markup import escape
 
@@ -22,3 +24,9 @@ def terminal(text: str) -> str:
 def markdown(text: str) -> str:
     """Return the text as it stands in Markdown: one line, nothing in it marks anything up, tables included."""
     return _MARKUP.sub(r"\\\g<0>", plain(text))
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """Ask for the known word that looks most like a wrong one; empty where none does."""
+    close = difflib.get_close_matches(word, list(known), n=1)
+    return f"did you mean {close[0]!r}? " if close else ""

@@ -6,7 +6,7 @@ from multilight.model.captures.request import Insertion
 class Insert(Insertion):
     """Put an object into a capture of many views, and harmonize all of them alike.
 
-    CAPTURE is a nerfstudio folder (transforms.json), a COLMAP folder (images and sparse/0), or a folder of pictures,
+    The capture is a nerfstudio folder (transforms.json), a COLMAP folder (images and sparse/0), or a folder of pictures,
     whose poses are then found. Written are composites/, harmonized/, scene.ply (Gaussians), and orbit.mp4.
     """
 
