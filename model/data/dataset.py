@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import polars as pl
 import torch
 from torch import Tensor
 from torch.utils.data import Dataset, IterableDataset, get_worker_info
@@ -53,9 +52,9 @@ class MultiLightDataset(Dataset[Sample]):
         """Open a dataset at any address; raises `StoreError` and `UserError` naming the value and the remedy."""
         self.settings = settings
         self.source = open_training(address, where=settings.filter())
-        sides = self.source.index.select(pl.min_horizontal("width", "height")).to_series()
-        if len(sides) and settings.size > sides.max():  # type: ignore[operator]  # whole numbers
-            print(f"size {settings.size}: the views of {address} have {sides.max()} pixels, enlarged", file=sys.stderr)
+        sides = [min(size) for size in self.source.index.select("width", "height").iter_rows()]
+        if sides and settings.size > max(sides):
+            print(f"size {settings.size}: the views of {address} have {max(sides)} pixels, enlarged", file=sys.stderr)
         places = places_of(self.source.visible, settings)
         self.plan = Plan(places, settings, self.source.source.record.config.conditions)
         self._about = {row["index"]: row for row in self.source.index.select("index", "kind", "emissive").to_dicts()}

@@ -71,7 +71,8 @@ def test_terminals_and_locales_of_other_alphabets(spheres_dataset: Path, tmp_pat
     ):
         done = shell(f"{plain} {RUN} {words}")
         assert (done.returncode, done.stderr) == (0, "")
-    code = f"from multilight.datagen.storage.store import write_text, Path; write_text(Path('{tmp_path}/t'), 'Gr\\u00fc\\u00dfe')"
+    code = "from multilight.datagen.storage.store import write_text, Path; "
+    code += f"write_text(Path('{tmp_path}/t'), 'Gr\\u00fc\\u00dfe')"
     assert shell(f'{plain} {sys.executable} -X utf8=0 -c "{code}"').stderr == ""
     assert (tmp_path / "t").read_text(encoding="utf-8") == "Grüße"
 
