@@ -3,12 +3,14 @@
 import dataclasses
 import math
 import sys
+import textwrap
 from collections.abc import Mapping
+from importlib.metadata import version
+from inspect import cleandoc
 from typing import Any
 
-import tyro
-
 from multilight.datagen.commands import export, import_scene, inspect, installed, make, pack, query
+from multilight.datagen.commands.arguments import UsageError, parsed
 from multilight.datagen.commands.terminal import (
     PIPE_BROKEN,
     EndedError,
@@ -28,7 +30,27 @@ LONGEST_WORD = 4096
 """Characters of the longest argument that is taken; paths have no more."""
 LARGEST_NUMBER = 2**53
 """The largest whole number that every library takes, as a float as well."""
-STOPPED = "stopped; the same command goes on where it was"
+STOPPED, GOES_ON = "stopped", "; the same command goes on where it was"
+CONTINUED = ("dataset", "scene", "import", "pack", "export", "train", "ablate")
+"""Commands that go on where they were stopped."""
+GROUPS = {
+    "make": ("dataset", "scene", "import"),
+    "look": ("verify", "mix", "sheet", "stats", "query"),
+    "share": ("export", "pack"),
+    "learn": ("train", "evaluate", "ablate"),
+    "use on your own pictures": ("harmonize", "insert"),
+    "set up": ("assets", "config", "doctor"),
+}
+"""The commands as help lists them."""
+EXTRAS = {"train": "train", "evaluate": "train", "ablate": "train", "harmonize": "train", "insert": "captures"}
+"""What to install for a command that needs more than what is there, if it is not `render`."""
+OPTIONS = (
+    "multilight COMMAND --help explains a command and its options.",
+    "",
+    "  --version    print the version",
+    "  --traceback  with any command: show where an error came from",
+)
+WIDTH, INDENT = 80, 13
 
 COMMANDS: dict[str, type] = {
     "dataset": make.Dataset,
@@ -64,34 +86,65 @@ def main(arguments: list[str] | None = None, commands: Mapping[str, type] = COMM
         if not word.isascii() and word.encode(errors="replace").decode() != word:  # native libraries cannot open it
             print(f"error: {one_line(word)} is no text in UTF-8; rename it", file=sys.stderr)
             return 2
-    command = tyro.extras.subcommand_cli_from_dict(
-        dict(commands), args=words, prog="multilight", description=ABOUT, config=(tyro.conf.OmitArgPrefixes,)
-    )
+    name = words[0] if words else ""
+    stopped = STOPPED + GOES_ON if name in CONTINUED else STOPPED
     try:
-        check_memory()
-        _check_numbers(command)
-        with signals_end_it():
-            try:
-                code = int(command.run())
-            finally:
-                _tell_of_cache()
-            sys.stdout.flush()
-            return code
+        return _run(words, commands)
+    except UsageError as error:
+        print(f"error: {one_line(str(error))}", file=sys.stderr)
+        return 2
     except KeyboardInterrupt:
-        print(STOPPED, file=sys.stderr)
+        print(stopped, file=sys.stderr)
         return 130
     except EndedError as ended:
-        print(STOPPED, file=sys.stderr)
+        print(stopped, file=sys.stderr)
         return ended.code
-    except (BrokenPipeError, SystemExit):  # rich makes the one of the other
+    except BrokenPipeError:
         drop_unwritten()
         return PIPE_BROKEN
-    except (MultilightError, OSError, MemoryError) as error:
-        if traceback:
+    except (MultilightError, OSError, MemoryError, ModuleNotFoundError) as error:
+        if traceback or (isinstance(error, ModuleNotFoundError) and str(error.name).startswith("multilight")):
             raise
         drop_unwritten()
-        print(f"error: {one_line(_told(error))}", file=sys.stderr)
+        print(f"error: {one_line(_told(error, name))}", file=sys.stderr)
         return 1
+
+
+def _run(words: list[str], commands: Mapping[str, type]) -> int:
+    """Run the command that the words name, or print help or the version, and return the exit code."""
+    if not words or words[0] in ("-h", "--help", "--version"):
+        print(f"multilight {version('multilight')}" if words == ["--version"] else overview(commands))
+        sys.stdout.flush()
+        return 0 if words else 2
+    try:
+        command = parsed(words, commands)
+    except SystemExit as ended:  # tyro's, after help, and where a value is missing or wrong
+        sys.stdout.flush()
+        return int(ended.code or 0)
+    check_memory()
+    _check_numbers(command)
+    with signals_end_it():
+        try:
+            code = int(command.run())
+        except SystemExit as error:
+            raise BrokenPipeError from error  # rich makes the one of the other
+        finally:
+            _tell_of_cache()
+        sys.stdout.flush()
+        return code
+
+
+def overview(commands: Mapping[str, type]) -> str:
+    """Return what `multilight --help` says: the commands in groups, each in a sentence."""
+    lines = ["usage: multilight COMMAND ...", "", *textwrap.wrap(ABOUT, WIDTH)]
+    for title, names in GROUPS.items():
+        there = [name for name in names if name in commands]
+        lines += ["", title] if there else []
+        for name in there:
+            sentence = cleandoc(commands[name].__doc__ or "").partition("\n\n")[0]
+            about = f"  {name:<{INDENT - 3}} {sentence}"
+            lines += textwrap.wrap(about, WIDTH, subsequent_indent=" " * INDENT)
+    return "\n".join([*lines, "", *OPTIONS])
 
 
 def _check_numbers(command: Any) -> None:
@@ -113,7 +166,7 @@ def _tell_of_cache() -> None:
         cache.tell_thrown_away()
 
 
-def _told(error: Exception) -> str:
+def _told(error: Exception, command: str) -> str:
     """Say what a user can act on."""
     match error:
         case MemoryError():
@@ -122,4 +175,6 @@ def _told(error: Exception) -> str:
             )
         case OSError():
             return f"{reason_of(error)}; free some space, or choose another place"
+        case ModuleNotFoundError():
+            return f"multilight {command} needs {error.name}: pip install 'multilight[{EXTRAS.get(command, 'render')}]'"
     return str(error)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from multilight.datagen.commands.arguments import hint
 from multilight.datagen.config.dataset import DatasetConfig, Denoise, Kind, Renderer, load_config
 from multilight.datagen.config.presets import Preset
 from multilight.datagen.errors import UserError
@@ -22,7 +23,7 @@ def config_key(key: str) -> Any:
     """Describe an option that sets a key of the configuration, in the key's own words."""
     field = DatasetConfig.model_fields[key]
     words = " ".join((field.description or "").split())
-    return tyro.conf.arg(help=words, help_behavior_hint=f"(default: {field.default})")
+    return tyro.conf.arg(help=words, help_behavior_hint=hint(str(field.default)))
 
 
 @dataclass(kw_only=True)

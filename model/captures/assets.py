@@ -12,7 +12,8 @@ from multilight.scenes.arrays import Float32, Float64
 from multilight.scenes.assets.formats.beside import load_scene
 from multilight.scenes.assets.formats.cleaning import Z_UP_FROM_Y_UP, clean_mesh, transformed
 from multilight.scenes.assets.formats.gltf import raw_part
-from multilight.scenes.assets.library import AssetError, AssetLibrary
+from multilight.scenes.assets.info import AssetError, unreadable
+from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.assets.packs.folder import SUFFIXES
 from multilight.scenes.colour import srgb_decode
 from multilight.scenes.files.limits import open_picture
@@ -34,16 +35,26 @@ class Asset:
         return np.asarray(high - low)
 
 
+def check_asset(name: str) -> None:
+    """Raise `UserError` or `AssetError` where there is neither such a file nor such an asset of the library."""
+    path = Path(name)
+    if path.suffix.lower() in SUFFIXES:
+        if not path.is_file():
+            raise UserError(f"asset {path} does not exist")
+    elif path.exists():
+        raise UserError(f"asset {path} is not one of {', '.join(SUFFIXES)}")
+    else:
+        AssetLibrary().info(name)
+
+
 def load_asset(name: str) -> Asset:
     """Load a GLB, glTF (Y-up) or OBJ (Y-up) file, or an asset of the library by its id `pack/name`.
 
     Raises `UserError` naming the file and what is wrong with it, `AssetError` for one of the library.
     """
-    path = Path(name)
-    if path.suffix.lower() in SUFFIXES:
-        return _from_file(path)
-    if path.exists():
-        raise UserError(f"asset {path} is not one of {', '.join(SUFFIXES)}")
+    check_asset(name)
+    if Path(name).suffix.lower() in SUFFIXES:
+        return _from_file(Path(name))
     library = AssetLibrary()
     mesh = library.mesh(name)
     images = {texture.image for part in mesh.parts if (texture := part.material.base_color_texture) is not None}
@@ -51,8 +62,6 @@ def load_asset(name: str) -> Asset:
 
 
 def _from_file(path: Path) -> Asset:
-    if not path.is_file():
-        raise UserError(f"asset {path} does not exist")
     textures: dict[str, Float32] = {}
 
     def keep(image: Image.Image) -> Texture:
@@ -67,7 +76,7 @@ def _from_file(path: Path) -> Asset:
     except AssetError as error:
         raise UserError(f"asset {error}") from None
     except Exception as error:  # trimesh raises whatever a broken file makes it stumble over
-        raise UserError(f"asset {path} cannot be read: {type(error).__name__}: {error}") from None
+        raise UserError(f"asset {unreadable(path, error)}") from None
     return Asset(mesh, textures)
 
 
