@@ -1,34 +1,30 @@
 """The command `assets`: what is installed, fetching packs, naming what is broken."""
 
+import json
 import sys
 from pathlib import Path
 
-from rich.console import Console
-from rich.table import Table
-
-from multilight.datagen.text import plain, terminal
+from multilight.datagen.tables import print_table
+from multilight.datagen.text import did_you_mean, plain
 from multilight.scenes.assets.check import check_assets
 from multilight.scenes.assets.fetch import DEFAULT_PACKS, fetch_pack
+from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.assets.library import AssetError, AssetLibrary, AssetRole
+from multilight.scenes.files.limits import shown
 
 ROLES: tuple[AssetRole, ...] = ("object", "table", "environment", "texture")
 
 
-def print_list(which: str | None) -> int:
+def print_list(which: str | None, *, as_json: bool) -> int:
     """Print every installed asset with its creator and licence; returns the exit code."""
-    library, pack = _library(which)
-    table = Table()
-    for title in ("asset", "role", "category", "creator", "licence"):
-        table.add_column(title, overflow="fold")
-    count = 0
-    for role in ROLES:
-        for info in library.list(role):
-            if pack is None or info.pack == pack:
-                table.add_row(*map(terminal, (info.id, info.role, info.category, info.creator, info.licence)))
-                count += 1
-    Console().print(table)
-    print(f"{count} assets")
-    return 0 if count else 1
+    heads = ("id", "role", "category", "creator", "licence")
+    rows = [[str(getattr(info, head)) for head in heads] for info in _infos(*_library(which))]
+    if as_json:
+        print(json.dumps([dict(zip(heads, row, strict=True)) for row in rows], indent=1))
+    else:
+        print_table(heads, rows)
+        print(f"{len(rows)} assets")
+    return 0 if rows else 1
 
 
 def fetch(which: str | None) -> int:
@@ -43,15 +39,22 @@ def fetch(which: str | None) -> int:
     return 1 if failed else 0
 
 
-def check(which: str | None) -> int:
+def check(which: str | None, *, as_json: bool) -> int:
     """Load every asset for real and name the broken ones; returns 1 if there are any."""
     library, pack = _library(which)
     problems = check_assets(library, pack)
+    total = len(_infos(library, pack))
+    if as_json:
+        print(json.dumps({"assets": total, "broken": dict(problems)}, indent=1))
+        return 1 if problems or not total else 0
     for asset, problem in problems:
         print(plain(f"{asset}: {problem}"))
-    total = sum(pack in (None, info.pack) for role in ROLES for info in library.list(role))
-    print(f"{total} assets, {len(problems)} broken")
+    print(f"{total} assets, {len(problems)} broken" if problems else f"all {total} assets ok")
     return 1 if problems or not total else 0
+
+
+def _infos(library: AssetLibrary, pack: str | None) -> list[AssetInfo]:
+    return [info for role in ROLES for info in library.list(role) if pack in (None, info.pack)]
 
 
 def _library(which: str | None) -> tuple[AssetLibrary, str | None]:
@@ -62,7 +65,7 @@ def _library(which: str | None) -> tuple[AssetLibrary, str | None]:
         folder = Path(which).resolve()
         return AssetLibrary(folders=(folder,)), folder.name
     library = AssetLibrary()
-    packs = sorted({info.pack for role in ROLES for info in library.list(role)})
+    packs = sorted({info.pack for info in _infos(library, None)})
     if which not in packs:
-        raise AssetError(f"{which!r} is neither a folder nor an installed pack; installed: {', '.join(packs)}")
+        raise AssetError(f"{shown(which)} is neither a folder nor an installed pack; {did_you_mean(which, packs)}installed: {', '.join(packs)}")
     return library, which

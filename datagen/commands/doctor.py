@@ -11,14 +11,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
-
 from multilight.datagen.backends.choose import has_mitsuba, pick_renderer
 from multilight.datagen.backends.machine import llvm
 from multilight.datagen.backends.machine.fetch_llvm import fetch_llvm, has_apt, known_packages
 from multilight.datagen.backends.machine.variants import Choice, Gpu, choose, choose_variant, find_gpu, try_out
+from multilight.datagen.tables import print_table
 from multilight.datagen.config.dataset import RendererName
 from multilight.scenes.assets.cache import default_cache
 from multilight.scenes.assets.fetch import SOURCES, is_fetched
@@ -176,12 +173,7 @@ def _memory() -> int:
 
 
 def _print(found: Diagnosis) -> None:
-    table = Table(show_header=False)
-    table.add_column(no_wrap=True)
-    table.add_column(overflow="fold")
-    for title, text in _rows(found):
-        table.add_row(title, Text(text))  # not a string: error messages hold brackets
-    Console().print(table)
+    print_table(("", ""), list(_rows(found)))
     if found.command:
         gain = "To make it faster" if found.can_render else "To make it work"
         packages = known_packages() if "--fetch" in found.command else []

@@ -16,6 +16,8 @@ class Assets:
     """What to do."""
     which: tyro.conf.Positional[str | None] = None
     """A pack's name or a folder of models (default: all packs; fetch: the default packs)."""
+    json: bool = False
+    """With list and check: print JSON."""
 
     def run(self) -> int:
         """Do it and return the exit code."""
@@ -23,23 +25,26 @@ class Assets:
 
         match self.action:
             case "list":
-                return assets.print_list(self.which)
+                return assets.print_list(self.which, as_json=self.json)
             case "fetch":
                 return assets.fetch(self.which)
             case "check":
-                return assets.check(self.which)
+                return assets.check(self.which, as_json=self.json)
 
 
 @dataclass
 class Config:
-    """Show the configuration of a preset, or the defaults: every key with value, unit, range and meaning."""
+    """Show the configuration of a preset, or the defaults, as TOML: every key with its meaning, unit and range.
+
+    To save and edit: multilight config show room > mine.toml; multilight dataset --config mine.toml --out DIR
+    """
 
     action: tyro.conf.Positional[Literal["show"]]
     """What to do."""
     preset: tyro.conf.Positional[Preset | None] = None
     """Which preset (default: none)."""
     json: bool = False
-    """Print JSON instead of a table."""
+    """Print JSON instead."""
 
     def run(self) -> int:
         """Print and return the exit code."""

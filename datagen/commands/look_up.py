@@ -2,16 +2,14 @@
 
 import json
 from collections.abc import Sequence
-from typing import Any
 
 import polars as pl
-from rich.console import Console
-from rich.table import Table
 
+from multilight.datagen.tables import print_table
 from multilight.datagen.errors import UserError
 from multilight.datagen.storage.index import COLUMNS
 from multilight.datagen.storage.source import open_dataset
-from multilight.datagen.text import terminal
+from multilight.datagen.text import did_you_mean
 
 
 def query(address: str, where: str | None, columns: Sequence[str]) -> pl.DataFrame:
@@ -20,7 +18,10 @@ def query(address: str, where: str | None, columns: Sequence[str]) -> pl.DataFra
     if "all" in columns:
         return table
     if unknown := [name for name in columns if name not in table.columns]:
-        raise UserError(f"--columns: no column {', '.join(unknown)}; there are {', '.join(table.columns)}")
+        near = did_you_mean(unknown[0], table.columns)
+        raise UserError(
+            f"--columns: no column {', '.join(unknown)}; {near}`multilight query DIR --describe` lists them"
+        )
     return table.select(columns)
 
 
@@ -29,7 +30,7 @@ def print_rows(rows: pl.DataFrame, *, as_json: bool) -> int:
     if as_json:
         print(json.dumps(rows.to_dicts(), indent=1))
     else:
-        _print_table([(name, rows.schema[name].is_numeric()) for name in rows.columns], rows.rows())
+        print_table(rows.columns, rows.rows())
         print(f"{len(rows)} scene{'s' if len(rows) != 1 else ''}")
     return 0 if len(rows) else 1
 
@@ -40,25 +41,6 @@ def describe(*, as_json: bool) -> int:
     if as_json:
         print(json.dumps([dict(zip(("column", "type", "meaning"), row, strict=True)) for row in rows], indent=1))
     else:
-        _print_table([(name, False) for name in ("column", "type", "meaning")], rows)
+        print_table(("column", "type", "meaning"), rows)
     return 0
 
-
-def _print_table(columns: Sequence[tuple[str, bool]], rows: Sequence[Sequence[Any]]) -> None:
-    table = Table()
-    for name, numeric in columns:
-        table.add_column(name, justify="right" if numeric else "left", overflow="fold")
-    for row in rows:
-        table.add_row(*(terminal(_cell(value)) for value in row))
-    Console().print(table)
-
-
-def _cell(value: object) -> str:
-    match value:
-        case None:
-            return ""
-        case list():
-            return ", ".join(_cell(each) or "-" for each in value)
-        case bool():
-            return "yes" if value else "no"
-    return str(value)

@@ -9,14 +9,16 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.table import Table
 
+from multilight.datagen.tables import print_table
 from multilight.datagen.storage.source import repair_command
-from multilight.datagen.text import plain, terminal
+from multilight.datagen.text import plain
 from multilight.datagen.verification.dataset import ANEW, Result, Verification
 from multilight.datagen.verification.views import CHECKS
 
 PLAIN_INTERVAL = 15.0  # seconds between progress lines where there is no terminal
+MOST_NAMED = 10
+"""Scenes that a row of the table of checks names."""
 
 
 @contextlib.contextmanager
@@ -77,17 +79,21 @@ def print_verification(root: str, verification: Verification, *, as_json: bool) 
         print(plain(f"{where}: {fault.check}: {fault.message}"))
     if not scenes:
         print(f"{root}: no finished scene")
-    elif faults and Path(root).is_dir() and not any(ANEW in fault.message for fault in faults):
-        print(plain(f"what is damaged is made anew by: {repair_command(root)}"))
+    elif not faults:
+        print(f"all {len(scenes)} scenes ok" if len(scenes) > 1 else "the scene is ok")
+    else:
+        print(f"{sum(not found for _, found in scenes)} of {len(scenes)} scenes ok, {len(faults)} faults")
+        if Path(root).is_dir() and not any(ANEW in fault.message for fault in faults):
+            print(plain(f"what is damaged is made anew by: {repair_command(root)}"))
     return 1 if faults or not scenes else 0
 
 
 def _print_table(title: str, scenes: list[Result]) -> None:
-    table = Table(title=terminal(title))
-    table.add_column("scene", justify="right")
+    """Print a row for each check: what it found, and in which scenes."""
+    rows = []
     for check in CHECKS:
-        table.add_column(check)
-    for index, found in scenes:
-        counts = [sum(fault.check == check for fault in found) for check in CHECKS]
-        table.add_row(str(index), *("ok" if n == 0 else f"[red]{n} fault(s)" for n in counts))
-    Console().print(table)
+        counts = {index: sum(fault.check == check for fault in found) for index, found in scenes}
+        bad = [str(index) for index, count in counts.items() if count]
+        named = ", ".join(bad[:MOST_NAMED]) + (f" and {len(bad) - MOST_NAMED} more" if len(bad) > MOST_NAMED else "")
+        rows.append((check, f"{sum(counts.values())} in scenes {named}" if bad else "ok"))
+    print_table(("check", "faults"), rows, title=title)

@@ -4,9 +4,7 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-from rich.console import Console
-from rich.table import Table
-
+from multilight.datagen.tables import print_table
 from multilight.datagen.errors import full_disk_told
 from multilight.datagen.files.outputs import check_folder
 from multilight.datagen.pages.render import data_uri, render_page
@@ -14,7 +12,6 @@ from multilight.datagen.stats.collect import Summary, quantiles
 from multilight.datagen.stats.plots import bar_plot, direction_plot
 from multilight.datagen.stats.quantities import Quantity
 from multilight.datagen.storage.store import write_text
-from multilight.datagen.text import terminal
 
 MOST_PAIRS = 100
 """Near-duplicates that the page lists; `stats.json` holds all."""
@@ -72,10 +69,7 @@ def _number(value: float) -> str:
 
 def print_summary(summary: Summary) -> None:
     """Print a short table: each quantity with its spread and coverage; leaks and near-duplicates below."""
-    table = Table(title=terminal(summary.title))
-    table.add_column("quantity", no_wrap=True)
-    for column in ("5 %", "median", "95 %", "filled", "even"):
-        table.add_column(column, justify="right", no_wrap=True)
+    rows = []
     for q in summary.quantities:
         coverage = summary.coverage[q.key]
         if q.edges:
@@ -84,9 +78,6 @@ def print_summary(summary: Summary) -> None:
             most = max(range(len(coverage.counts)), key=lambda i: coverage.counts[i])
             spread = ["", f"{coverage.labels[most]}", ""]
         name = f"{q.key} [{q.unit}]" if q.unit in ("m", "lx", "K", "deg", "mm", "stops") else q.key
-        table.add_row(
-            terminal(name), *map(terminal, spread), f"{100 * coverage.filled:.0f} %", f"{coverage.evenness:.2f}"
-        )
-    console = Console()
-    console.print(table)
-    console.print(f"{len(summary.leaks)} models or places cross splits; {len(summary.duplicates)} near-duplicate pairs")
+        rows.append((name, *spread, f"{100 * coverage.filled:.0f} %", f"{coverage.evenness:.2f}"))
+    print_table(("quantity", "5 %", "median", "95 %", "filled", "even"), rows, title=summary.title)
+    print(f"{len(summary.leaks)} models or places cross splits; {len(summary.duplicates)} near-duplicate pairs")

@@ -10,6 +10,7 @@ Files are fetched whole, one by one as they are asked for; nothing is ever writt
 import contextlib
 import hashlib
 import multiprocessing
+import re
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager
@@ -34,7 +35,7 @@ from multilight.datagen.storage.store import (
     scene_folder,
     scene_number,
 )
-from multilight.datagen.text import plain
+from multilight.datagen.text import did_you_mean, plain
 from multilight.scenes.files.limits import shown
 
 OnBroken = Literal["raise", "skip"]
@@ -186,14 +187,18 @@ def repair_command(address: str) -> str:
 
 
 def select(table: pl.DataFrame, where: str) -> pl.DataFrame:
-    """Keep the rows for which an SQL expression holds; raises `UserError` with the expression and the columns."""
+    """Keep the rows for which an SQL expression holds; raises `UserError` with the nearest column."""
     if len(where) > LONGEST_WHERE or not where.isprintable():  # polars' parser overflows its stack on endless ones
         raise UserError(f"where {shown(where)}: an expression is one line of at most {LONGEST_WHERE} characters")
     try:
         return table.filter(pl.sql_expr(where))
     except pl.exceptions.PolarsError as error:
         reason = str(error).splitlines()[0].partition(";")[0]
-        raise UserError(f"where {shown(where)}: {reason}; the columns are {', '.join(table.columns)}") from None
+        missing = re.search('column "(.+)"', reason)
+        near = missing and (did_you_mean(missing[1], table.columns) or f"a text is quoted: '{missing[1]}'. ")
+        raise UserError(
+            f"where {shown(where)}: {reason}; {near or ''}`multilight query DIR --describe` lists the columns"
+        ) from None
 
 
 def scene_names(place: Place) -> list[int] | None:
