@@ -7,7 +7,6 @@ from PIL import Image
 from torch.utils.data import DataLoader
 
 import multilight
-from multilight.model.inference.harmonize import DEFAULT_WEIGHTS
 from multilight.model.networks.checkpoint import load_network
 
 
@@ -16,7 +15,7 @@ def main(out: Path, steps: int = 150) -> None:
     data = multilight.make(out / "training", preset="tabletop", seed=30, scenes=3, views=4, width=128, height=128)
     wanted = multilight.SampleSettings(size=96, length=8 * steps, split=None)
     loader = DataLoader(multilight.MultiLightDataset(data.address, wanted), batch_size=8)
-    network = load_network(DEFAULT_WEIGHTS).train()
+    network = load_network(Path("slim")).train()
     optimizer = torch.optim.Adam(network.parameters(), 3e-4)
     errors = []
     for step, batch in enumerate(loader, start=1):

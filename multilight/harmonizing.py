@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from multilight.datagen.errors import UserError
 from multilight.model.inference.depth import depth_from_metres, guessed_depth
-from multilight.model.inference.harmonize import DEFAULT_WEIGHTS, network_harmonizer
+from multilight.model.inference.harmonize import network_harmonizer
 from multilight.model.inference.pictures import to_bytes
 from multilight.scenes.arrays import Float32
 
@@ -46,7 +46,7 @@ def harmonize(
         if metres.ndim != 2 or not np.isfinite(metres).all() or metres.min() < 0 or metres.max() <= 0:
             raise UserError("depth must be one finite, positive number a pixel (H, W), 0 where unknown")
         seen = depth_from_metres(metres)
-    result = network_harmonizer(Path(weights or DEFAULT_WEIGHTS), device)(pasted, empty, seen, covered)
+    result = network_harmonizer(Path(weights or "slim"), device)(pasted, empty, seen, covered)
     return to_bytes(result) if np.asarray(composite).dtype == np.uint8 else result
 
 

@@ -67,5 +67,8 @@ def _library(which: str | None) -> tuple[AssetLibrary, str | None]:
     library = AssetLibrary()
     packs = sorted({info.pack for info in _infos(library, None)})
     if which not in packs:
-        raise AssetError(f"{shown(which)} is neither a folder nor an installed pack; {did_you_mean(which, packs)}installed: {', '.join(packs)}")
+        near = did_you_mean(which, packs)
+        raise AssetError(
+            f"{shown(which)} is neither a folder nor an installed pack; {near}installed: {', '.join(packs)}"
+        )
     return library, which

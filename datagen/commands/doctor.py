@@ -15,8 +15,8 @@ from multilight.datagen.backends.choose import has_mitsuba, pick_renderer
 from multilight.datagen.backends.machine import llvm
 from multilight.datagen.backends.machine.fetch_llvm import fetch_llvm, has_apt, known_packages
 from multilight.datagen.backends.machine.variants import Choice, Gpu, choose, choose_variant, find_gpu, try_out
-from multilight.datagen.tables import print_table
 from multilight.datagen.config.dataset import RendererName
+from multilight.datagen.tables import print_table
 from multilight.scenes.assets.cache import default_cache
 from multilight.scenes.assets.fetch import SOURCES, is_fetched
 from multilight.scenes.assets.info import AssetError

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 
 import polars as pl
 
-from multilight.datagen.tables import print_table
 from multilight.datagen.errors import UserError
 from multilight.datagen.storage.index import COLUMNS
 from multilight.datagen.storage.source import open_dataset
+from multilight.datagen.tables import print_table
 from multilight.datagen.text import did_you_mean
 
 
@@ -43,4 +43,3 @@ def describe(*, as_json: bool) -> int:
     else:
         print_table(("column", "type", "meaning"), rows)
     return 0
-

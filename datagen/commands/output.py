@@ -10,8 +10,8 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from multilight.datagen.tables import print_table
 from multilight.datagen.storage.source import repair_command
+from multilight.datagen.tables import print_table
 from multilight.datagen.text import plain
 from multilight.datagen.verification.dataset import ANEW, Result, Verification
 from multilight.datagen.verification.views import CHECKS

@@ -1,7 +1,8 @@
 """Configurations out of files and options: how they are read, joined and validated, and what is said of a wrong one."""
 
-import difflib
+import re
 from collections.abc import Iterator, Mapping
+from difflib import get_close_matches
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeVar, get_args
@@ -9,6 +10,7 @@ from typing import Any, TypeVar, get_args
 from pydantic import ValidationError
 
 from multilight.datagen.errors import UserError
+from multilight.datagen.text import did_you_mean
 from multilight.scenes.files.limits import read_toml, shown
 from multilight.scenes.frozen import Frozen
 
@@ -63,27 +65,49 @@ def validated(
 def keys_of(kind: type[Frozen], prefix: str = "") -> Iterator[str]:
     """List every key of a configuration, nested ones with dots."""
     for name, field in kind.model_fields.items():
-        inner = [t for t in (field.annotation, *get_args(field.annotation)) if isinstance(t, type)]
-        tables = [t for t in inner if issubclass(t, Frozen)]
-        yield from keys_of(tables[0], f"{prefix}{name}.") if tables else [prefix + name]
+        table = _table(field.annotation)
+        yield from keys_of(table, f"{prefix}{name}.") if table else [prefix + name]
+
+
+def _table(annotation: Any) -> type[Frozen] | None:
+    """Return the model that a key's table has, or each table of its list."""
+    if isinstance(annotation, type) and issubclass(annotation, Frozen):
+        return annotation
+    return next(filter(None, map(_table, get_args(annotation))), None)
 
 
 def _fault(error: ValidationError, kind: type[Frozen]) -> str:
-    """Say what is wrong: the first key, its value and what is allowed, or the known keys and the most similar one."""
-    first = error.errors()[0]
-    key = ".".join(map(str, first["loc"])) or "configuration"
+    """Say what is wrong: an unknown key, else the first one, its value and what is allowed; and what was meant."""
+    errors = sorted(error.errors(), key=lambda found: found["type"] != "extra_forbidden")
+    first, key = errors[0], _key(errors[0])
     if first["type"] == "extra_forbidden":
-        key = ".".join(part for part in first["loc"] if isinstance(part, str))  # without the places in lists
-        known = list(keys_of(kind))
-        return f"unknown key {key!r}; {_hint(key, known)}known keys: {', '.join(known)}"
+        key = re.sub(r"\.\d+", "", key)  # without the places in lists
+        return f"unknown key {key!r}; {_meant(key, list(keys_of(kind)))}"
     if first["type"] == "missing":
         return f"{key} is missing"
+    said = first["msg"].removeprefix("Value error, ")
+    if choices := [
+        found["ctx"]["expected"] for found in errors if found["type"] == "literal_error" and _key(found) == key
+    ]:
+        words = re.findall("'(.*?)'", " ".join(choices))
+        said = f"{did_you_mean(str(first['input']), words)}there are {' or '.join(choices)}"
     value = "" if isinstance(first["input"], dict) else f" = {shown(first['input'])}"
-    return f"{key}{value}: {first['msg']}"
+    return f"{key}{value}: {said}" if key else said
 
 
-def _hint(key: str, known: list[str]) -> str:
-    """Ask for the known key that looks most like a wrong one: as a whole, or without its table."""
-    names = {key.rpartition(".")[2]: key for key in reversed(known)} | {key: key for key in known}
-    close = difflib.get_close_matches(key, names, n=1) or difflib.get_close_matches(key.rpartition(".")[2], names, n=1)
-    return f"did you mean {names[close[0]]!r}? " if close else ""
+def _key(error: Any) -> str:
+    """Return the key that is wrong; pydantic names the members of unions as well, with brackets in them."""
+    return ".".join(part for part in map(str, error["loc"]) if "[" not in part)
+
+
+def _meant(key: str, known: list[str]) -> str:
+    """Ask for the known key or table that looks most like a wrong one; else list what stands beside it."""
+    table, _, name = key.rpartition(".")
+    tables = dict.fromkeys(filter(None, (other.rpartition(".")[0] for other in known)))
+    beside = [other.rpartition(".")[2] for other in (*known, *tables) if other.rpartition(".")[0] == table]
+    if near := did_you_mean(name, beside):
+        return near.replace("'", f"'{table}.", 1).strip() if table else near.strip()
+    elsewhere = {other.rpartition(".")[2]: other for other in reversed(known)}
+    if name in elsewhere or (name := next(iter(get_close_matches(name, elsewhere, n=1)), "")):
+        return f"did you mean {elsewhere[name]!r}?"
+    return f"known keys{' of ' + table if table else ''}: {', '.join(beside)}"

@@ -112,6 +112,8 @@ def print_config(preset: Preset | None, *, as_json: bool) -> int:
     if as_json:
         print(json.dumps({"preset": preset, "keys": [asdict(row) for row in config_rows(config)]}, indent=1))
     else:
-        meaning = f"preset {preset}: {PRESETS[preset].meaning}" if preset else f"defaults; presets: {', '.join(PRESETS)}"
+        meaning = (
+            f"preset {preset}: {PRESETS[preset].meaning}" if preset else f"defaults; presets: {', '.join(PRESETS)}"
+        )
         print(as_toml(config, meaning))
     return 0

@@ -4,7 +4,6 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-from multilight.datagen.tables import print_table
 from multilight.datagen.errors import full_disk_told
 from multilight.datagen.files.outputs import check_folder
 from multilight.datagen.pages.render import data_uri, render_page
@@ -12,6 +11,7 @@ from multilight.datagen.stats.collect import Summary, quantiles
 from multilight.datagen.stats.plots import bar_plot, direction_plot
 from multilight.datagen.stats.quantities import Quantity
 from multilight.datagen.storage.store import write_text
+from multilight.datagen.tables import print_table
 
 MOST_PAIRS = 100
 """Near-duplicates that the page lists; `stats.json` holds all."""

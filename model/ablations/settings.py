@@ -30,7 +30,7 @@ class AblationSettings:
     batch: int = 8
     """Pictures a step (of the 2D stage)."""
     weights_2d: Path | None = None
-    """Weights of the 2D stage, for the order of Gaussians."""
+    """For the order of Gaussians: weights of the 2D stage, a file, or ready-made ones by name."""
     splits: tuple[Split, ...] = ("val", "test", "test_ood")
     """Splits to evaluate on; the first that has any scenes is watched during training."""
     groups: int = 32

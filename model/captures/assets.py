@@ -34,16 +34,26 @@ class Asset:
         return np.asarray(high - low)
 
 
+def check_asset(name: str) -> None:
+    """Raise `UserError` or `AssetError` where there is neither such a file nor such an asset of the library."""
+    path = Path(name)
+    if path.suffix.lower() in SUFFIXES:
+        if not path.is_file():
+            raise UserError(f"asset {path} does not exist")
+    elif path.exists():
+        raise UserError(f"asset {path} is not one of {', '.join(SUFFIXES)}")
+    else:
+        AssetLibrary().info(name)
+
+
 def load_asset(name: str) -> Asset:
     """Load a GLB, glTF (Y-up) or OBJ (Y-up) file, or an asset of the library by its id `pack/name`.
 
     Raises `UserError` naming the file and what is wrong with it, `AssetError` for one of the library.
     """
-    path = Path(name)
-    if path.suffix.lower() in SUFFIXES:
-        return _from_file(path)
-    if path.exists():
-        raise UserError(f"asset {path} is not one of {', '.join(SUFFIXES)}")
+    check_asset(name)
+    if Path(name).suffix.lower() in SUFFIXES:
+        return _from_file(Path(name))
     library = AssetLibrary()
     mesh = library.mesh(name)
     images = {texture.image for part in mesh.parts if (texture := part.material.base_color_texture) is not None}
@@ -51,8 +61,6 @@ def load_asset(name: str) -> Asset:
 
 
 def _from_file(path: Path) -> Asset:
-    if not path.is_file():
-        raise UserError(f"asset {path} does not exist")
     textures: dict[str, Float32] = {}
 
     def keep(image: Image.Image) -> Texture:

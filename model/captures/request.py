@@ -5,6 +5,12 @@ from pathlib import Path
 
 from tyro.conf import Positional
 
+from multilight.datagen.errors import UserError
+
+MOST_FRAMES = 10_000
+MOST_SIDE = 2048
+"""Cells a side of the largest map: four million Gaussians."""
+
 
 @dataclass(frozen=True)
 class Wish:
@@ -37,8 +43,8 @@ class Insertion:
     """3DGS PLY of the capture, in the cameras' own world: depth is taken from it."""
     depth_model: Path | None = None
     """ONNX model for captures without depth (Depth Anything V2's layout), held to their sparse points."""
-    weights: Path | None = None
-    """Weights of the 2D stage (default: the ready-made ones)."""
+    weights: Path = Path("slim")
+    """Weights of the 2D stage: a file, or ready-made ones by name."""
     weights_3d: Path | None = None
     """Weights of the 3D stage (without: what the views say is averaged)."""
     max_side: int = 512
@@ -51,3 +57,35 @@ class Insertion:
     """Frames of the orbit, at 24 a second; 0: no video."""
     device: str = "auto"
     """Device of the networks: auto, cpu, or cuda."""
+
+    def check(self) -> None:
+        """Raise `UserError` for whatever can be known to be wrong before torch is loaded and the work starts."""
+        from multilight.datagen.files.outputs import check_folder
+        from multilight.model.commands.checks import check_file, check_range
+        from multilight.model.configs.ready import check_device, weights_config
+        from multilight.model.configs.stage2d import NetworkConfig
+        from multilight.model.configs.stage3d import SceneNetworkConfig
+
+        check_range("--frames", self.frames, 0, MOST_FRAMES)
+        check_range("--every", self.every, 1, 10**6)
+        check_range("--max-side", self.max_side, 16, 8192)
+        check_range("--seed", self.place.seed, 0, 2**32 - 1)
+        if not 0 < self.side <= MOST_SIDE or self.side & (self.side - 1):
+            raise UserError(f"--side {self.side} must be a power of two of at most {MOST_SIDE}: 128, 256, 512, say")
+        if self.place.scale is not None and self.place.scale <= 0:
+            raise UserError(f"--scale {self.place.scale} must be above 0")
+        if self.gaussians is not None and self.depth_model is not None:
+            raise UserError("give either --gaussians or --depth-model, not both")
+        check_device(self.device)
+        weights_config(self.weights, NetworkConfig)
+        if self.weights_3d is not None:
+            weights_config(self.weights_3d, SceneNetworkConfig)
+        for name in ("gaussians", "depth_model"):
+            check_file(f"--{name.replace('_', '-')}", getattr(self, name))
+        check_file("--pose", self.place.pose)
+        if not self.capture.exists():
+            raise UserError(f"capture {self.capture} does not exist")
+        from multilight.model.captures.assets import check_asset  # trimesh takes a while
+
+        check_asset(self.asset)
+        check_folder(self.out)

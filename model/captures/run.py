@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from multilight.datagen.errors import UserError, full_disk_told
-from multilight.datagen.files.outputs import check_folder, written
+from multilight.datagen.errors import full_disk_told
+from multilight.datagen.files.outputs import written
 from multilight.datagen.storage.store import write_text
 from multilight.model.captures.assets import load_asset
 from multilight.model.captures.capture import Capture, check_alignment
@@ -20,28 +20,18 @@ from multilight.model.captures.read import read_capture
 from multilight.model.captures.request import Insertion
 from multilight.model.captures.video import orbit_cameras, render_gaussians, write_video
 from multilight.model.device import chosen_device
-from multilight.model.inference.harmonize import DEFAULT_WEIGHTS
 from multilight.model.inference.pictures import write_picture
 from multilight.model.networks.checkpoint import load_network, load_network3d
 from multilight.scenes.gaussians.ply import write_gaussians
-
-MOST_FRAMES = 10_000
-MOST_SIDE = 2048
-"""Cells a side of the largest map: four million Gaussians."""
 
 
 def insert_into_files(wanted: Insertion) -> None:
     """Insert an object and write composites/, single/, harmonized/, scene.ply, placement.json and orbit.mp4.
 
-    Raises `UserError` for whatever the user can mend, before the long work where it can be known.
+    Raises `UserError` for what the user can mend and `wanted.check` cannot know.
     """
     out, side, frames = wanted.out, wanted.side, wanted.frames
-    if not 0 <= frames <= MOST_FRAMES:
-        raise UserError(f"--frames {frames} must be 0 to {MOST_FRAMES}")
-    if not 0 < side <= MOST_SIDE or side & (side - 1):
-        raise UserError(f"--side {side} must be a power of two of at most {MOST_SIDE}")
-    check_folder(out)
-    network = load_network(wanted.weights or DEFAULT_WEIGHTS).to(chosen_device(wanted.device))
+    network = load_network(wanted.weights).to(chosen_device(wanted.device))
     stage3d = None if wanted.weights_3d is None else load_network3d(wanted.weights_3d)
     asset = load_asset(wanted.asset)
     bare = read_capture(wanted.capture, max_side=wanted.max_side, every=wanted.every)

@@ -29,19 +29,37 @@ class Ablate(AblationSettings):
 
     def run(self) -> int:
         """Train, evaluate, write and print the table, and return the exit code."""
+        self._check()
         from multilight.model.ablations.run import ablate, base_values
         from multilight.model.ablations.table import write_tables
 
-        if self.steps is not None and self.minutes is not None:
-            raise UserError("say either --steps or --minutes")
-        for name in ("steps", "minutes", "seeds", "size", "batch", "groups"):
-            value = getattr(self, name)
-            if value is not None and value <= 0:
-                raise UserError(f"--{name} {value} must be more than 0")
         runs, found = ablate(self, base_values(self))
         print(write_tables(TITLES[self.name], runs, found, self._about(found), self.out))
         print(f"table: {self.out / 'table.md'}")
         return 0
+
+    def _check(self) -> None:
+        """Raise `UserError` for whatever can be known to be wrong before the work."""
+        from multilight.datagen.files.outputs import check_folder
+        from multilight.model.commands.checks import LEAST_SIDE, MOST_SIDE, check_range, check_splits
+        from multilight.model.configs.ready import weights_config
+        from multilight.model.configs.stage2d import NetworkConfig
+
+        if self.steps is not None and self.minutes is not None:
+            raise UserError("say either --steps or --minutes")
+        for name in ("steps", "minutes", "seeds", "batch", "groups"):
+            value = getattr(self, name)
+            if value is not None and value <= 0:
+                raise UserError(f"--{name} {value} must be more than 0")
+        check_range("--size", self.size, LEAST_SIDE, MOST_SIDE)
+        check_range("--workers", self.workers, 0, 256)
+        if self.weights_2d is not None:
+            weights_config(self.weights_2d, NetworkConfig)
+        elif self.name == "order":
+            raise UserError("order is compared on top of the 2D stage: give --weights-2d slim, or weights of your own")
+        check_splits(self.dataset, ("train",))
+        check_splits(self.dataset, self.splits)
+        check_folder(self.out)
 
     def _about(self, found: "Evaluation") -> dict[str, str]:
         """Say what was trained and evaluated on what."""

@@ -21,8 +21,8 @@ class Evaluate:
     """Dataset: a folder or an address."""
     out: Path = field(kw_only=True)
     """Folder to write index.html, table.md and evaluation.json to."""
-    weights: tuple[Path, ...] = ()
-    """Weights of the models to compare (default: the ready-made ones)."""
+    weights: tuple[Path, ...] = (Path("slim"),)
+    """Weights of the models to compare: files, or ready-made ones by name."""
     weights_3d: Path | None = None
     """Weights of the 3D stage, to be compared on top of the last of `weights`."""
     refine_iterations: tuple[int, ...] = ()
@@ -42,25 +42,17 @@ class Evaluate:
 
     def run(self) -> int:
         """Evaluate, write the pages, print the main table, and return the exit code."""
+        self._check()
         from multilight.datagen.commands.output import progress
-        from multilight.datagen.files.outputs import check_folder
         from multilight.model.evaluation.lpips import Lpips
         from multilight.model.evaluation.method3d import scene_method
         from multilight.model.evaluation.page import markdown, tables_of, write_evaluation
         from multilight.model.evaluation.run import evaluate, methods_of
-        from multilight.model.inference.harmonize import DEFAULT_WEIGHTS, network_harmonizer
+        from multilight.model.inference.harmonize import network_harmonizer
 
-        if self.refine_iterations and (self.weights_3d is None or min(self.refine_iterations) < 1):
-            raise UserError(
-                f"--refine-iterations {' '.join(map(str, self.refine_iterations))}: "
-                "needs --weights-3d, and numbers from 1 up; 0 is always compared"
-            )
-        check_folder(self.out)
         groups = self._groups()
-        weights = self.weights or (DEFAULT_WEIGHTS,)
+        weights = self.weights
         models = {path.stem: network_harmonizer(path, self.device) for path in weights}
-        if len(models) < len(weights):
-            raise UserError(f"weights {', '.join(map(str, weights))}: give the files different names")
         methods = methods_of(models)
         if self.weights_3d is not None:
             stem = weights[-1].stem
@@ -76,14 +68,42 @@ class Evaluate:
         print(f"evaluation: {self.out / 'index.html'}")
         return 0
 
+    def _check(self) -> None:
+        """Raise `UserError` for whatever can be known to be wrong before the work."""
+        from multilight.datagen.files.outputs import check_folder
+        from multilight.model.commands.checks import LEAST_SIDE, MOST_SIDE, check_file, check_range, check_splits
+        from multilight.model.configs.ready import check_device, weights_config
+        from multilight.model.configs.stage2d import NetworkConfig
+        from multilight.model.configs.stage3d import SceneNetworkConfig
+
+        if self.refine_iterations and (self.weights_3d is None or min(self.refine_iterations) < 1):
+            raise UserError(
+                f"--refine-iterations {' '.join(map(str, self.refine_iterations))}: "
+                "needs --weights-3d, and numbers from 1 up; 0 is always compared"
+            )
+        if sum(place is not None for place in (self.dir, self.owl, self.foscom)) != 1:
+            raise UserError("say what to evaluate on: a dataset (multilight evaluate DIR), --owl DIR or --foscom DIR")
+        check_range("--size", self.cases.size, LEAST_SIDE, MOST_SIDE)
+        check_range("--groups", self.cases.groups, 1, 10**6)
+        check_device(self.device)
+        for path in self.weights:
+            weights_config(path, NetworkConfig)
+        if not self.weights or len({path.stem for path in self.weights}) < len(self.weights):
+            raise UserError(f"--weights {' '.join(map(str, self.weights))}: give one or more files of different names")
+        if self.weights_3d is not None:
+            weights_config(self.weights_3d, SceneNetworkConfig)
+        check_file("--depth-model", self.depth_model)
+        check_file("--lpips", self.lpips)
+        if self.dir is not None:
+            check_splits(self.dir, self.cases.splits)
+        check_folder(self.out)
+
     def _groups(self) -> "list[LazyGroup]":
         from multilight.model.evaluation.cases import dataset_groups
         from multilight.model.evaluation.foscom import foscom_groups
         from multilight.model.evaluation.objects_with_lighting import owl_groups
         from multilight.model.inference.depth import DepthModel
 
-        if sum(place is not None for place in (self.dir, self.owl, self.foscom)) != 1:
-            raise UserError("say what to evaluate on: a dataset (multilight evaluate DIR), --owl DIR or --foscom DIR")
         model = DepthModel.load(self.depth_model) if self.depth_model else None
         if self.owl is not None:
             return owl_groups(self.owl, model)[: self.cases.groups]
@@ -97,10 +117,11 @@ class Evaluate:
         import torch
 
         from multilight.datagen.storage.store import file_sha256
+        from multilight.model.configs.ready import weights_file
 
         place = str(self.dir or self.owl or self.foscom)
         facts = {"data": place, "frames": str(frames), "torch": torch.__version__, "device": self.device}
         if self.dir is not None:
             size = f"{self.cases.size} x {self.cases.size}"
             facts |= {"splits": ", ".join(self.cases.splits), "seed": str(self.cases.seed), "size": size}
-        return facts | {f"weights {path.stem}": file_sha256(path)[:12] for path in weights}
+        return facts | {f"weights {path.stem}": file_sha256(weights_file(path))[:12] for path in weights}

@@ -12,15 +12,24 @@ class Harmonize(Files):
 
     out: Path
     """Picture to write."""
-    weights: Path | None = None
-    """Weights of the model (default: the ready-made ones)."""
+    weights: Path = Path("slim")
+    """Weights of the model: a file, or ready-made ones by name."""
     device: str = "auto"
     """Device of the model: auto, cpu, or cuda."""
 
     def run(self) -> int:
         """Harmonize and return the exit code."""
-        from multilight.model.inference.harmonize import DEFAULT_WEIGHTS, harmonize_files
+        from multilight.model.configs.ready import check_device, weights_config
+        from multilight.model.configs.stage2d import NetworkConfig
+        from multilight.model.inference.pictures import check_picture, write_picture
+        from multilight.model.inference.read import read_files
 
-        harmonize_files(self, self.weights or DEFAULT_WEIGHTS, self.out, self.device)
+        check_picture(self.out)
+        check_device(self.device)
+        weights_config(self.weights, NetworkConfig)
+        pictures = read_files(self)
+        from multilight.model.inference.harmonize import network_harmonizer
+
+        write_picture(self.out, network_harmonizer(self.weights, self.device)(*pictures))
         print(f"harmonized: {self.out}")
         return 0

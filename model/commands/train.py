@@ -10,13 +10,16 @@ import tyro
 class Train:
     """Train as a TOML file says: the 2D stage, or the 3D stage where it names `weights_2d`.
 
+    Ready-made configurations go by name: slim, slim3d, paper. To save one with what each key means, and edit it:
+    multilight train slim --show > mine.toml; multilight train mine.toml
+
     The same command goes on where it was stopped.
 
     On several GPUs: torchrun --nproc-per-node N -m multilight train CONFIG
     """
 
-    config: tyro.conf.Positional[Path]
-    """TOML file; its keys are those of `TrainingConfig` or `SceneTrainingConfig` in `model.configs`."""
+    config: tyro.conf.Positional[str]
+    """TOML file, or the name of a ready-made one."""
     out: Path | None = None
     """Folder of checkpoints, logs and weights (over the file's `out`)."""
     data: str | None = None
@@ -25,21 +28,34 @@ class Train:
     """Length of the training (over the file's `minutes`)."""
     fresh: bool = False
     """Start anew, removing what an earlier call left in the folder."""
+    show: bool = False
+    """Only this: print the configuration as TOML, each key with its meaning and range."""
 
     def run(self) -> int:
         """Train and return the exit code."""
         from multilight.datagen.config.loading import read_values, validated
+        from multilight.datagen.config.table import as_toml
+        from multilight.datagen.files.outputs import check_folder
+        from multilight.model.commands.checks import check_training
+        from multilight.model.configs.ready import config_file
         from multilight.model.configs.stage2d import TrainingConfig
         from multilight.model.configs.stage3d import SceneTrainingConfig
 
-        values = read_values(self.config)
-        given = {"out": self.out, "data.train": self.data, "minutes": self.minutes}
-        if "weights_2d" in values:
+        path = config_file(self.config)
+        values = read_values(path)
+        kind = SceneTrainingConfig if "weights_2d" in values else TrainingConfig
+        config = validated(values, kind, path, {"out": self.out, "data.train": self.data, "minutes": self.minutes})
+        if self.show:
+            print(as_toml(config))
+            return 0
+        check_folder(config.out)
+        check_training(config)
+        if isinstance(config, SceneTrainingConfig):
             from multilight.model.training.stage3d import train_scenes
 
-            train_scenes(validated(values, SceneTrainingConfig, self.config, given), fresh=self.fresh)
+            train_scenes(config, fresh=self.fresh)
         else:
             from multilight.model.training.stage2d import train
 
-            train(validated(values, TrainingConfig, self.config, given), fresh=self.fresh)
+            train(config, fresh=self.fresh)
         return 0

@@ -45,7 +45,7 @@ class SceneTrainingConfig(TrainingConfig):
     """A training of the 3D stage: a step is one object of one scene, in all its views, under one pair of lightings."""
 
     weights_2d: Path
-    """Finished weights of the 2D stage, which stays as it is."""
+    """Finished weights of the 2D stage, which stays as it is: a file, or ready-made ones by name."""
     network: SceneNetworkConfig = SLIM3D
     """The network on the Gaussians."""
     views: Annotated[int, Field(ge=1, le=64)] = 4

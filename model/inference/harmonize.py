@@ -1,6 +1,5 @@
-"""Harmonize single pictures of any size with a trained network, or one's own files."""
+"""Harmonize single pictures of any size with a trained network."""
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,11 +9,7 @@ from torch import Tensor
 from torch.nn.functional import interpolate
 
 from multilight.datagen.errors import UserError
-from multilight.datagen.files.outputs import check_file
 from multilight.model.device import chosen_device
-from multilight.model.inference.depth import DepthModel, depth_from_metres, guessed_depth
-from multilight.model.inference.files import Files
-from multilight.model.inference.pictures import read_depth, read_mask, read_picture, write_picture
 from multilight.model.networks.checkpoint import load_network
 from multilight.model.networks.compositing2d import Compositing2D, apply_gains, soft_mask
 from multilight.scenes.arrays import Float32
@@ -22,45 +17,14 @@ from multilight.scenes.arrays import Float32
 Harmonizer = Callable[[Float32, Float32, Float32, Float32], Float32]
 """Composite and background (H, W, 3), display-encoded, depth and mask (H, W), all in [0, 1] → picture (H, W, 3)."""
 
-DEFAULT_WEIGHTS = Path(__file__).parents[1] / "weights" / "slim.safetensors"
 WHOLE = 512
 """Longest side in pixels that a network sees at once."""
 OVERLAP = 64
 """Pixels that neighbouring tiles share; across them, one fades into the other."""
-ALIGNED = 0.1
-"""Mean difference of composite and background beyond the object, as displayed, from which on they look misaligned."""
-
-
-def harmonize_files(files: Files, weights: Path, out: Path, device: str = "auto") -> None:
-    """Harmonize one's own picture and write the result; raises `UserError` naming the file and what is wrong."""
-    if files.depth and files.depth_model:
-        raise UserError("give either --depth or --depth-model, not both")
-    check_file(out)
-    composite, background = read_picture(files.composite), read_picture(files.background)
-    mask = read_mask(files.mask)
-    _same_size(files.composite, composite, [(files.background, background), (files.mask, mask)])
-    if files.depth:
-        measured = read_depth(files.depth)
-        _same_size(files.composite, composite, [(files.depth, measured)])
-        depth = depth_from_metres(measured)
-    elif files.depth_model:
-        depth = DepthModel.load(files.depth_model).estimate(composite)
-    else:
-        print("no depth is given: level ground is assumed; --depth or --depth-model make it better", file=sys.stderr)
-        depth = guessed_depth(*mask.shape)
-    beyond = mask < 0.5 / 255.0
-    if beyond.any() and np.abs(composite - background)[beyond].mean() > ALIGNED:
-        print(
-            f"composite and background differ beyond the mask by {np.abs(composite - background)[beyond].mean():.2f} "
-            "of full scale: are they aligned, and is the mask the object's?",
-            file=sys.stderr,
-        )
-    network = load_network(weights).to(chosen_device(device))
-    write_picture(out, harmonize(network, composite, background, depth, mask=mask))
 
 
 def network_harmonizer(weights: Path, device: str = "auto") -> Harmonizer:
-    """Load trained weights as a function from pictures to the harmonized picture."""
+    """Load trained weights, a file or ready-made ones by name, as a function from pictures to the harmonized one."""
     network = load_network(weights).to(chosen_device(device))
     return lambda composite, background, depth, mask: harmonize(network, composite, background, depth, mask=mask)
 
@@ -147,10 +111,3 @@ def _fade(size: torch.Size) -> Tensor:
 def _tensor(picture: Float32, device: torch.device) -> Tensor:
     planes = picture[None] if picture.ndim == 2 else picture.transpose(2, 0, 1)
     return torch.from_numpy(np.array(planes, np.float32))[None].to(device)
-
-
-def _same_size(path: Path, picture: Float32, others: list[tuple[Path, Float32]]) -> None:
-    for other_path, other in others:
-        if other.shape[:2] != picture.shape[:2]:
-            (h, w), (oh, ow) = picture.shape[:2], other.shape[:2]
-            raise UserError(f"{other_path} is {ow} x {oh} pixels, {path} is {w} x {h}: make them of equal size")

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageOps, UnidentifiedImageError
 
 from multilight.datagen.errors import UserError
-from multilight.datagen.files.outputs import written
+from multilight.datagen.files.outputs import check_file, written
 from multilight.scenes.arrays import Float32, UInt8
 from multilight.scenes.files.limits import open_picture, read_npy
 
@@ -62,15 +62,17 @@ def read_depth(path: Path) -> Float32:
     return depth
 
 
+def check_picture(path: Path) -> None:
+    """See that a picture can be written, making its folder; raises `UserError` in one line where that cannot be."""
+    if Image.registered_extensions().get(path.suffix.lower()) not in Image.SAVE:
+        raise UserError(f"{path}: no picture is written that ends in {path.suffix or 'nothing'!r}; use .png or .jpg")
+    check_file(path)
+
+
 def write_picture(path: Path, picture: Float32) -> None:
     """Write a display-encoded picture (H, W, 3) in [0, 1] with 8 bits, in the format that the name ends in."""
-    if path.suffix.lower() not in Image.registered_extensions():
-        raise UserError(f"{path}: no picture format ends in {path.suffix or 'nothing'!r}; use .png, .jpg or .webp")
     with written(path) as work:
-        try:
-            Image.fromarray(to_bytes(picture)).save(work, quality=95)
-        except KeyError as error:  # a format that can be read only
-            raise UserError(f"{path} cannot be written: {error}") from None
+        Image.fromarray(to_bytes(picture)).save(work, quality=95)
 
 
 def to_bytes(picture: NDArray[np.floating]) -> UInt8:

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TypeVar
 
 import torch
-from pydantic import ValidationError
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
@@ -17,6 +16,7 @@ from torch.optim import Optimizer
 from multilight.datagen.errors import UserError
 from multilight.datagen.files.outputs import written
 from multilight.datagen.storage.store import write_text
+from multilight.model.configs.ready import weights_config, weights_file
 from multilight.model.configs.stage2d import NetworkConfig, TrainingConfig
 from multilight.model.configs.stage3d import SceneNetworkConfig
 from multilight.model.networks.compositing2d import Compositing2D
@@ -25,6 +25,7 @@ from multilight.model.networks.points3d import PointTransformer
 from multilight.scenes.files.limits import read_json
 
 Tensors = dict[str, Tensor]
+Config = TypeVar("Config", NetworkConfig, SceneNetworkConfig)
 Network = TypeVar("Network", Compositing2D, Compositing3D | PointTransformer)
 SCHEMA_VERSION = 1
 
@@ -114,24 +115,22 @@ def save_network(path: Path, network: nn.Module, config: NetworkConfig, about: M
 
 
 def load_network(path: Path) -> Compositing2D:
-    """Read finished weights of the 2D stage; raises `UserError` naming the file and what is wrong with it."""
-    return _loaded(path, lambda text: Compositing2D(NetworkConfig.from_json(text)))
+    """Read finished weights of the 2D stage, a file or ready-made ones by name; raises `UserError` naming the fault."""
+    return _loaded(path, weights_config(path, NetworkConfig), Compositing2D)
 
 
 def load_network3d(path: Path) -> SceneNetwork:
     """Read finished weights of the 3D stage; raises `UserError` naming the file and what is wrong with it."""
-    return _loaded(path, lambda text: scene_network(SceneNetworkConfig.from_json(text)))
+    return _loaded(path, weights_config(path, SceneNetworkConfig), scene_network)
 
 
-def _loaded(path: Path, made: Callable[[str], Network]) -> Network:
-    if not path.is_file():
-        raise UserError(f"weights {path} do not exist; make some with: multilight train CONFIG")
+def _loaded(path: Path, config: Config, made: Callable[[Config], Network]) -> Network:
     try:
-        tensors, header = _read_tensors(path)
-        _check_size(lambda: made(header["network"]), tensors)
-        network = made(header["network"])
+        tensors, _ = _read_tensors(weights_file(path))
+        _check_size(lambda: made(config), tensors)
+        network = made(config)
         network.load_state_dict(tensors)
-    except (OSError, ValueError, KeyError, ValidationError, RuntimeError) as error:
+    except (OSError, ValueError, RuntimeError) as error:
         raise UserError(f"weights {path} cannot be read: {str(error).splitlines()[0]}") from None
     return network.eval()
 

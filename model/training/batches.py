@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader
 
-from multilight.datagen.errors import UserError
+from multilight.datagen.errors import StoreError, UserError
 from multilight.model.configs.stage2d import DataConfig, StageConfig, TrainingConfig
 from multilight.model.data import MultiLightDataset, SampleSettings
 
@@ -88,6 +88,8 @@ def validation_samples(data: DataConfig, size: int, *, views: int = 1) -> MultiL
     )  # fmt: skip
     try:
         return MultiLightDataset(data.validation or data.train, settings)
+    except StoreError:
+        raise
     except UserError as error:
         raise UserError(f"validation: {error}; set data.validation_split, or data.validation_samples = 0") from None
 

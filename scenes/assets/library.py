@@ -153,8 +153,13 @@ class AssetLibrary:
 
     def _pack(self, asset: str) -> tuple[Pack, str]:
         pack, _, name = asset.partition("/")
-        if pack not in self._packs:
+        if pack not in self._packs and pack in SOURCES:
             raise AssetError(
                 f"asset {asset!r} needs the pack {pack!r}, which is not installed; run `multilight assets fetch {pack}`"
+            )
+        if pack not in self._packs:
+            raise AssetError(
+                f"no asset {asset!r}: there is no pack {pack!r}; `multilight assets list` shows all, as PACK/NAME, and "
+                "--assets DIR adds a folder of models"
             )
         return self._packs[pack], name
