@@ -130,6 +130,8 @@ def diagnose() -> Diagnosis:
 
 def _command(choice: Choice, parts: Sequence[Part]) -> str:
     """Return the one command that helps most; empty where only other hardware would."""
+    if not any(part.version for part in parts):
+        return "pip install 'multilight[render]'"
     if any(llvm.MISSING_LIBRARY in part.fault for part in parts):
         return "make system-libraries"
     if choice.variant is not None:

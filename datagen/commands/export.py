@@ -55,6 +55,8 @@ class _Source:
         from multilight.datagen.storage.source import open_dataset
 
         source = open_dataset(self.dir, where=self.where, on_broken=self.on_broken)
+        if not source.indices:
+            raise UserError(f"{self.dir} has no scene{f' where {self.where}' if self.where else ''} to export")
         with progress("scenes") as report:
             yield source, report
         if source.skipped:

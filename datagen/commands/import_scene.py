@@ -8,6 +8,7 @@ import tyro
 
 from multilight.datagen.commands.make import config_key, make_scenes
 from multilight.datagen.config.dataset import Denoise, Renderer, load_config
+from multilight.datagen.errors import UserError
 
 
 @dataclass
@@ -28,6 +29,11 @@ class Import:
 
     def run(self) -> int:
         """Make the dataset and return the exit code."""
+        from multilight.datagen.files.outputs import check_folder
+
+        if not self.file.is_file():
+            raise UserError(f"{self.file} does not exist; name the stage of `multilight export usd`, scene.usdc")
+        check_folder(self.out)
         from multilight.datagen.production.library import open_library
         from multilight.datagen.usd.read import read_stage
 

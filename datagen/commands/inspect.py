@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -93,7 +93,7 @@ class Sheet:
 class Stats:
     """Measure how varied a dataset is: histograms, coverage, leaks between splits, near-duplicate scenes."""
 
-    dir: tyro.conf.Positional[Path | None] = None
+    dir: Annotated[tyro.conf.Positional[str | None], tyro.conf.arg(metavar="[DIR]")] = None
     """Folder of the dataset."""
     sample: int | None = None
     """Instead: sample this many scenes without rendering, and measure those."""
@@ -110,30 +110,33 @@ class Stats:
         """Measure, print a table, write the page and return the exit code: 1 where something leaks."""
         from multilight.datagen.files.outputs import check_folder
         from multilight.datagen.stats.page import print_summary, write_page
+        from multilight.datagen.storage.store import file_inside
 
-        if self.out is not None:
-            check_folder(self.out)
-        summary, out = self._measure()
+        if (self.dir is None) == (self.sample is None):
+            raise UserError("say either which dataset to measure (multilight stats DIR) or --sample N")
+        if self.sample is not None and self.sample < 1:
+            raise UserError(f"--sample {self.sample} must be 1 or more")
+        if self.dir is not None and not Path(self.dir).is_dir():
+            raise UserError(f"{self.dir} is not a folder here; stats does not read from other addresses")
+        out = self.out if self.dir is None or self.out is not None else file_inside(Path(self.dir), "stats")
+        if out is not None:
+            check_folder(out)
+        summary = self._measure()
         print_summary(summary)
         if out is not None:
             write_page(summary, out)
             print(f"statistics: {out / 'index.html'}")
         return 1 if summary.leaks else 0
 
-    def _measure(self) -> "tuple[Summary, Path | None]":
+    def _measure(self) -> "Summary":
         from multilight.datagen.commands.output import progress
         from multilight.datagen.stats.collect import measure_dataset, measure_samples
-        from multilight.datagen.storage.store import file_inside
         from multilight.scenes.assets.library import AssetLibrary
 
-        if (self.dir is None) == (self.sample is None):
-            raise UserError("say either which dataset to measure (multilight stats DIR) or --sample N")
+        config = load_config(self.config, {}, self.preset)
+        library = AssetLibrary(folders=self.assets)
         with progress("scenes") as report:
             if self.dir is not None:
-                library = AssetLibrary(folders=self.assets)
-                return measure_dataset(self.dir, library, report), self.out or file_inside(self.dir, "stats")
+                return measure_dataset(Path(self.dir), library, report)
             assert self.sample is not None
-            if self.sample < 1:
-                raise UserError(f"--sample {self.sample} must be 1 or more")
-            config = load_config(self.config, {}, self.preset)
-            return measure_samples(config, self.sample, AssetLibrary(folders=self.assets), report), self.out
+            return measure_samples(config, self.sample, library, report)

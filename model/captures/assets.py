@@ -12,7 +12,8 @@ from multilight.scenes.arrays import Float32, Float64
 from multilight.scenes.assets.formats.beside import load_scene
 from multilight.scenes.assets.formats.cleaning import Z_UP_FROM_Y_UP, clean_mesh, transformed
 from multilight.scenes.assets.formats.gltf import raw_part
-from multilight.scenes.assets.library import AssetError, AssetLibrary
+from multilight.scenes.assets.info import AssetError, unreadable
+from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.assets.packs.folder import SUFFIXES
 from multilight.scenes.colour import srgb_decode
 from multilight.scenes.files.limits import open_picture
@@ -72,10 +73,10 @@ def _from_file(path: Path) -> Asset:
         pieces = load_scene(path, path.parent).dump()
         parts = [raw_part(piece, keep) for piece in pieces if isinstance(piece, trimesh.Trimesh)]
         mesh = clean_mesh(transformed(parts, Z_UP_FROM_Y_UP))
-    except AssetError as error:
-        raise UserError(f"asset {error}") from None
+    except AssetError:
+        raise
     except Exception as error:  # trimesh raises whatever a broken file makes it stumble over
-        raise UserError(f"asset {path} cannot be read: {type(error).__name__}: {error}") from None
+        raise unreadable(path, error) from None
     return Asset(mesh, textures)
 
 

@@ -23,10 +23,16 @@ from multilight.scenes.assets.cache import default_cache, write_json
 from multilight.scenes.assets.environments import PMNDRS_MAPS, clean_copy, decode_pmndrs
 from multilight.scenes.assets.info import AssetError
 from multilight.scenes.assets.packs.surfaces import convert_texture, surface_textures
-from multilight.scenes.assets.packs.sweethome3d import LICENCES
 from multilight.scenes.files.limits import read_json
 
 FURNITURE = "usr/share/sweethome3d/furniture"
+LICENCES = {
+    "BlendSwap-CC-0": "CC0-1.0",
+    "BlendSwap-CC-BY": "CC-BY-3.0",
+    "KatorLegaz": "CC-BY-3.0-US",
+    "Scopia": "CC-BY-3.0",
+}
+"""The furniture's libraries, and the licence of each."""
 TIMEOUT = 1800.0
 
 

@@ -1,6 +1,8 @@
 """What is known of an asset, and the one error that asset code raises."""
 
 from dataclasses import dataclass
+from json import JSONDecodeError
+from pathlib import Path
 from typing import Literal
 
 from multilight.scenes.errors import MultilightError
@@ -10,6 +12,16 @@ AssetRole = Literal["object", "table", "surrounding", "environment", "texture"]
 
 class AssetError(MultilightError):
     """An asset is missing or broken: names the asset, the file and the remedy."""
+
+
+def unreadable(path: Path, error: Exception) -> AssetError:
+    """Say of a file that a library stumbled over what is wrong, where the library's words are for people."""
+    said = (str(error).strip().splitlines() or [""])[-1].strip()
+    if isinstance(error, OSError) and error.filename:
+        said = f"{error.filename}: {error.strerror}"
+    elif isinstance(error, UnicodeDecodeError | JSONDecodeError) or not isinstance(error, ValueError) or not said:
+        said = "it is damaged, or not what its name says"
+    return AssetError(f"{path} cannot be read: {said}; export it again")
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 from urllib.parse import unquote
 
-from multilight.scenes.assets.info import AssetError
+from multilight.scenes.assets.info import AssetError, unreadable
 from multilight.scenes.files.inside import OutsideError, inside
 from multilight.scenes.files.limits import (
     MOST_FILE,
@@ -59,7 +59,7 @@ def check_model(path: Path, folder: Path) -> None:
     except LimitError as error:
         raise AssetError(f"{path}: {error}") from error
     except Exception as error:  # whatever a broken header makes the above stumble over
-        raise AssetError(f"{path} cannot be read ({type(error).__name__}: {error}); export it again") from error
+        raise unreadable(path, error) from error
 
 
 def check_placed(scene: Any) -> None:
@@ -87,8 +87,10 @@ def read_header(path: Path) -> tuple[Header, bytes]:
         header = parse_json(data)
         if not isinstance(header, dict):
             raise ValueError("its JSON is no object")
-    except (OSError, ValueError, struct.error) as error:
-        raise AssetError(f"{path} is not a readable glTF file ({error}); export it again") from error
+    except OSError as error:
+        raise AssetError(f"{path} cannot be read: {error.strerror or error}") from error
+    except (ValueError, struct.error) as error:
+        raise unreadable(path, error) from error
     return header, within
 
 

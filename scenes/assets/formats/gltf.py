@@ -16,7 +16,7 @@ from multilight.scenes.assets.formats.claims import Header, read_header
 from multilight.scenes.assets.formats.cleaning import Z_UP_FROM_Y_UP, RawPart
 from multilight.scenes.assets.formats.mtl import linear, part_name
 from multilight.scenes.assets.formats.scene_file import Emission, FoundLight, Imported, KeepImage, Node
-from multilight.scenes.assets.info import AssetError
+from multilight.scenes.assets.info import AssetError, unreadable
 from multilight.scenes.files.inside import OutsideError, inside
 from multilight.scenes.files.limits import parse_json
 from multilight.scenes.frozen import Rgb
@@ -41,7 +41,7 @@ def read_gltf(path: Path, keep: KeepImage) -> Imported:
     except AssetError:
         raise
     except Exception as error:  # trimesh raises whatever a broken file makes it stumble over
-        raise AssetError(f"{path} cannot be read ({type(error).__name__}: {error}); export it again") from error
+        raise unreadable(path, error) from error
     return Imported(nodes, lights)
 
 

@@ -24,7 +24,7 @@ from multilight.scenes.assets.formats.beside import load_scene
 from multilight.scenes.assets.formats.cleaning import Z_UP_FROM_Y_UP, RawPart, clean_mesh, extent, transformed
 from multilight.scenes.assets.formats.gltf import raw_part
 from multilight.scenes.assets.formats.scene_file import keep_picture
-from multilight.scenes.assets.info import AssetError, AssetInfo
+from multilight.scenes.assets.info import AssetError, AssetInfo, unreadable
 from multilight.scenes.assets.packs.pack import Pack
 from multilight.scenes.files.inside import OutsideError, held, plain_name
 from multilight.scenes.meshes import Mesh
@@ -127,7 +127,7 @@ class FolderPack(Pack):
         except AssetError:
             raise
         except Exception as error:  # trimesh raises whatever a broken file makes it stumble over
-            raise AssetError(f"{path} cannot be read: {type(error).__name__}: {error}") from error
+            raise unreadable(path, error) from error
         largest = float((high - low).max())
         if not 1e-3 < largest < 50:
             raise AssetError(

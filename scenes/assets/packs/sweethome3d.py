@@ -23,6 +23,7 @@ from trimesh.exchange.obj import load_obj
 from trimesh.geometry import triangulate_quads
 
 from multilight.scenes.assets.cache import sources_key, write_once
+from multilight.scenes.assets.fetch import LICENCES
 from multilight.scenes.assets.formats import cleaning, mtl
 from multilight.scenes.assets.formats.cleaning import Z_UP_FROM_Y_UP, RawPart, clean_mesh, extent, transformed
 from multilight.scenes.assets.formats.mtl import MtlEntry, material_of, part_name
@@ -33,12 +34,6 @@ from multilight.scenes.meshes import Mesh
 
 TABLE = Path(__file__).with_name("sweethome3d.csv")
 FURNITURE = Path(__file__).with_name("furniture.csv")
-LICENCES = {
-    "BlendSwap-CC-0": "CC0-1.0",
-    "BlendSwap-CC-BY": "CC-BY-3.0",
-    "KatorLegaz": "CC-BY-3.0-US",
-    "Scopia": "CC-BY-3.0",
-}
 IDENTITY = "1 0 0 0 1 0 0 0 1"
 TEXTURE_TYPES = (".jpg", ".jpeg", ".png")
 

@@ -14,7 +14,7 @@ from multilight.scenes.assets.formats.scene_file import Emission, FoundLight, Im
 from multilight.scenes.assets.formats.usd.lights import LightReader, write_map
 from multilight.scenes.assets.formats.usd.materials import Picture, bound_surface, package_of, read_material, rgb_of
 from multilight.scenes.assets.formats.usd.shapes import SHAPES, read_shape
-from multilight.scenes.assets.info import AssetError
+from multilight.scenes.assets.info import AssetError, unreadable
 from multilight.scenes.files.inside import OutsideError, held
 from multilight.scenes.files.limits import MOST_NODES, LimitError, check_file
 from multilight.scenes.poses import apply_pose, pose_of
@@ -28,14 +28,14 @@ def open_stage(path: Path) -> Any:
         _check_layers(path)
         return Usd.Stage.Open(str(path))
     except (OSError, LimitError) as error:
-        raise AssetError(f"{path} cannot be read: {error}") from error
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise AssetError(f"{path} cannot be read: {reason}") from error
     except OutsideError as error:
         raise AssetError(
             f"{path} refers to a layer outside of its folder: {error}; flatten it, or pack it as USDZ"
         ) from None
     except Tf.ErrorException as error:
-        reason = str(error).strip().splitlines()[-1].strip()
-        raise AssetError(f"{path} is not a readable USD file ({reason}); export it again") from error
+        raise unreadable(path, error) from error
 
 
 def _check_layers(path: Path) -> None:
@@ -73,8 +73,7 @@ def read_usd(path: Path, keep: KeepImage, folder: Path) -> Imported:
     except LimitError as error:
         raise AssetError(f"{path}: {error}") from error
     except Exception as error:  # whatever a broken stage makes the above stumble over
-        reason = (str(error).strip() or "no reason given").splitlines()[-1].strip()
-        raise AssetError(f"{path} cannot be read ({type(error).__name__}: {reason}); export it again") from error
+        raise unreadable(path, error) from error
 
 
 class _Reader:
