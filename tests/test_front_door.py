@@ -214,7 +214,10 @@ BAD: dict[str, tuple[Callable[[multilight.Dataset, Path], object], str]] = {
     "scene": (lambda data, _: data[2], r"scene 2 is not in .*; it holds 2, counted from 0"),
     "scene by name": (lambda data, _: data["a"], "scene 'a' is not in"),  # type: ignore[index]
     "index": (lambda data, _: data.scene(7), r"no scene 7 in .*; it has \[0, 1\]"),
-    "query": (lambda data, _: data.query("weight > 3"), "where 'weight > 3': .*the columns are index, seed"),
+    "query": (
+        lambda data, _: data.query("weight > 3"),
+        "where 'weight > 3': .*`multilight query DIR --describe` lists the columns",
+    ),
     "view": (lambda data, _: data[0].mix(3), "view 3 must be a whole number from 0 to 2"),
     "half a view": (lambda data, _: data[0].mix(0.5), "view 0.5 must be"),  # type: ignore[arg-type]
     "condition": (lambda data, _: data[0].mix(0, "noon"), r"condition 'noon' is not one of \['all'"),

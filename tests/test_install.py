@@ -1,6 +1,7 @@
 """A wheel, installed beside a project that has a model.py, a scenes.py and a lights/ of its own."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -8,6 +9,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from tests import ROOT
 
@@ -61,3 +63,68 @@ def test_installed_beside_a_project_with_the_same_names(wheel: Path, tmp_path: P
     assert said.split() == ["42", "43", str(tmp_path / "installed" / "multilight" / "__init__.py")]
     run = [sys.executable, "-m", "multilight", "--help"]
     assert "harmonize" in subprocess.check_output(run, cwd=tmp_path / "project", env=environment, text=True)
+
+
+MODULES = {
+    "render": "trimesh embreex fcl igl mujoco pebble psutil mitsuba_oidn drjit mitsuba pxr bpy",
+    "train": "torch torchmetrics tensorboard flip_evaluator",
+    "captures": "onnxruntime pycolmap imageio_ffmpeg",
+    "remote": "s3fs aiohttp",
+}
+"""What each extra brings that the rest of the installation does without."""
+WITHOUT_EXTRAS = """
+import sys
+from importlib.machinery import PathFinder
+from multilight.datagen import cli as generator
+from multilight.model import cli as learner
+class Bare(PathFinder):
+    @classmethod
+    def find_spec(cls, name, path=None, target=None):
+        return None if name.split(".")[0] in {missing!r} else super().find_spec(name, path, target)
+sys.meta_path[sys.meta_path.index(PathFinder)] = Bare
+for line in sys.stdin.read().splitlines():
+    code = generator.main(line.split(), generator.COMMANDS | learner.COMMANDS)
+    print(line.split()[0], code, file=sys.stderr)
+"""
+
+
+def test_commands_name_the_extra_that_they_lack(spheres_dataset: Path, tmp_path: Path) -> None:
+    out = f"--out {tmp_path}"
+    reading = (f"verify {spheres_dataset}", f"query {spheres_dataset}", f"mix {spheres_dataset} {out}/m.png")
+    works = (
+        *reading,
+        f"sheet {spheres_dataset} {out}/s.png",
+        f"pack {spheres_dataset} {out}/p",
+        "config show",
+        "train slim --show",
+    )
+    white = tmp_path / "white.png"
+    Image.new("RGB", (32, 32), "white").save(white)
+    training = tmp_path / "training.toml"
+    training.write_text(f'steps = 1\nout = "o"\n[data]\nvalidation_samples = 0\ntrain = "{spheres_dataset}"\n')
+    lacking = {
+        f"dataset {out}/d": "render",
+        f"scene {out}/d": "render",
+        f"import usd {white} {out}/d": "render",
+        f"export usd {spheres_dataset} {out}/u": "render",
+        f"stats {spheres_dataset}": "render",
+        "assets list": "render",
+        f"train {training} {out}/t": "train",
+        f"evaluate {spheres_dataset} --splits train {out}/e": "train",
+        f"ablate head {spheres_dataset} --splits train {out}/a": "train",
+        f"harmonize --composite {white} --background {white} --mask {white} {out}/h.png": "train",
+        f"insert {spheres_dataset} --asset builtin/die-01 {out}/i": "captures",
+        "verify s3://bucket/set": "remote",
+    }
+    code = WITHOUT_EXTRAS.format(missing=set(" ".join(MODULES.values()).split()))
+    words = [sys.executable, "-c", code]
+    text = "\n".join((*works, "doctor", *lacking))
+    done = subprocess.run(words, input=text, capture_output=True, text=True, check=True, cwd=ROOT)
+    codes = [line for line in done.stderr.splitlines() if re.fullmatch(r"\w+ \d", line)]
+    assert codes == [f"{line.split()[0]} 0" for line in works] + ["doctor 1"] + [
+        f"{line.split()[0]} 1" for line in lacking
+    ]
+    errors = [line for line in done.stderr.splitlines() if line.startswith("error: ")]
+    for line, (command, extra) in zip(errors, lacking.items(), strict=True):
+        assert f"pip install 'multilight[{extra}]'" in line, command
+    assert "To make it work: pip install 'multilight[render]'" in done.stdout

@@ -123,22 +123,24 @@ def _shown(field: StructFieldSpec) -> StructFieldSpec:
 
 @REGISTRY.primitive_rule
 def _choices(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec | None:
-    """Read one of some words, which help lists in their order; a wrong one is told with the nearest."""
-    words = tuple(_words(info.type))
+    """Read one of some words, or a tuple of them, which help lists in order; a wrong one is told with the nearest."""
+    many = get_origin(info.type) is tuple
+    words = tuple(_words(get_args(info.type)[0] if many else info.type))
     if not words:
         return None
 
-    def read(given: list[str]) -> str:
-        if given[0] in words:
-            return given[0]
-        raise ValueError(f"{shown(given[0])}; {did_you_mean(given[0], words)}there are {', '.join(words)}")
+    def read(given: list[str]) -> str | tuple[str, ...]:
+        for word in given:
+            if word not in words:
+                raise ValueError(f"{shown(word)}; {did_you_mean(word, words)}there are {', '.join(words)}")
+        return tuple(given) if many else given[0]
 
     return PrimitiveConstructorSpec(
-        nargs=1,
+        nargs="*" if many else 1,
         metavar="{" + ",".join(words) + "}",
         instance_from_str=read,
-        is_instance=lambda value: value is None or value in words,
-        str_from_instance=lambda value: [str(value)],
+        is_instance=lambda value: value is None or value in words or many,
+        str_from_instance=lambda value: list(value) if many else [str(value)],
     )
 
 

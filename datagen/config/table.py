@@ -9,7 +9,7 @@ from multilight.datagen.config.dataset import load_config
 from multilight.datagen.config.presets import PRESETS, Preset
 from multilight.scenes.frozen import Frozen
 
-WIDTH = 100
+WIDTH = 80
 """Characters of a line of comment."""
 
 
@@ -83,7 +83,7 @@ def _range(schema: dict[str, Any], shared: dict[str, Any]) -> str:
 
 def as_toml(config: Frozen, title: str = "") -> str:
     """Write a configuration as TOML to save and edit: every key with its meaning, unit and range above it."""
-    lines = [f"# {title}"] if title else []
+    lines = _comment(title)
     table = ""
     for row in sorted(config_rows(config), key=lambda row: row.key.rpartition(".")[0]):
         above, _, key = row.key.rpartition(".")
@@ -92,9 +92,13 @@ def as_toml(config: Frozen, title: str = "") -> str:
             lines += ["", f"[{table}]"]
         about = ", ".join(filter(None, (row.unit, row.range)))
         text = f"{row.meaning} ({about})" if about else row.meaning
-        lines += ["", *textwrap.wrap(text, WIDTH, initial_indent="# ", subsequent_indent="# ")]
+        lines += ["", *_comment(text)]
         lines.append(f"# {key} =" if row.value is None else f"{key} = {_toml(row.value)}")
     return "\n".join(lines)
+
+
+def _comment(text: str) -> list[str]:
+    return textwrap.wrap(text, WIDTH, initial_indent="# ", subsequent_indent="# ")
 
 
 def _toml(value: Any) -> str:

@@ -195,9 +195,11 @@ def select(table: pl.DataFrame, where: str) -> pl.DataFrame:
     except pl.exceptions.PolarsError as error:
         reason = str(error).splitlines()[0].partition(";")[0]
         missing = re.search('column "(.+)"', reason)
-        near = missing and (did_you_mean(missing[1], table.columns) or f"a text is quoted: '{missing[1]}'. ")
+        near = did_you_mean(missing[1], table.columns) if missing else ""
+        if missing and not near and re.search(rf"[=(,]\s*{re.escape(missing[1])}", where):
+            near = f"a text is quoted: '{missing[1]}'. "
         raise UserError(
-            f"where {shown(where)}: {reason}; {near or ''}`multilight query DIR --describe` lists the columns"
+            f"where {shown(where)}: {reason}; {near}`multilight query DIR --describe` lists the columns"
         ) from None
 
 

@@ -27,7 +27,7 @@ def refused(capsys: pytest.CaptureFixture[str], *words: object, lines: int = 1) 
     said = capsys.readouterr().err
     assert "Traceback" not in said
     assert code in (1, 2), words
-    assert said.startswith("╭") or said.count("\n") <= lines, said  # tyro's boxes: what is no number or no choice
+    assert "error: " not in said or said.count("\n") <= lines, said  # without: tyro's box, of what is no number
     assert len(said) < 3000
     return said
 
@@ -125,49 +125,6 @@ def test_expressions_that_are_none(spheres_dataset: Path, tmp_path: Path, capsys
         refused(capsys, "query", spheres_dataset, text)
         refused(capsys, "export", "nerfstudio", spheres_dataset, "--out", tmp_path / "e", "--where", text)
         refused(capsys, "query", spheres_dataset, "index = 0", "--columns", text)
-
-
-@pytest.mark.parametrize("command", ["verify", "query", "stats", "mix", "sheet", "pack", "export", "evaluate"])
-def test_addresses_that_are_none(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "file").write_text("x")
-    (tmp_path / "link").symlink_to(tmp_path / "nowhere")
-    places = [
-        tmp_path / "file",
-        tmp_path / "file" / "x",
-        tmp_path / "link",
-        tmp_path / "none",
-        "/dev/null",
-        "s3://",
-        "a://b",
-        "::",
-    ]
-    for place in (*places, *TEXTS[1:]):
-        words = [command, *(["nerfstudio"] if command == "export" else []), place]
-        out = [] if command in ("verify", "query", "stats") else ["--out", tmp_path / "out.png"]
-        refused(capsys, *words, *out)
-
-
-def test_outputs_that_are_none(spheres_dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "file").write_text("x")
-    (tmp_path / "folder.png").mkdir()
-    (tmp_path / "link.png").symlink_to(tmp_path / "nowhere" / "deep.png")
-    (tmp_path / "link").symlink_to(tmp_path / "nowhere" / "deep")
-    pictures = [
-        tmp_path / "file" / "x.png",
-        tmp_path / "folder.png",
-        "/dev/full",
-        "x" * 300 + ".png",
-        tmp_path / "x.docx",
-    ]
-    for out in pictures:
-        refused(capsys, "sheet", spheres_dataset, "--out", out)
-        refused(capsys, "mix", spheres_dataset, "--out", out)
-    for out in (tmp_path / "file", tmp_path / "file" / "x", tmp_path / "link", "/dev/full", tmp_path / ("x" * 300)):
-        refused(capsys, *DATASET[:-1], out)
-        refused(capsys, "pack", spheres_dataset, "--out", out, lines=2)
-        refused(capsys, "export", "webdataset", spheres_dataset, "--out", out, lines=2)
-        refused(capsys, "stats", spheres_dataset, "--out", out, lines=2)
-    assert not (tmp_path / "nowhere").exists()
 
 
 def test_pictures_that_are_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

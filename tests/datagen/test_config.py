@@ -94,8 +94,17 @@ def test_config_show(capsys: pytest.CaptureFixture[str]) -> None:
     assert shown["width"] | {"meaning": ""} == {
         "key": "width", "value": 256, "unit": "px", "range": "16 to 8192", "meaning": ""
     }  # fmt: skip
-    assert main(["config", "show"]) == 0
-    assert "cameras.min_visible_share" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_what_config_show_prints_is_the_configuration(
+    preset: presets.Preset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["config", "show", preset]) == 0
+    printed = capsys.readouterr().out
+    assert load_config(write(tmp_path, printed), {}) == load_config(None, {}, preset)
+    assert "# Image width in pixels. (px, 16 to 8192)\nwidth = " in printed
+    assert max(len(line) for line in printed.splitlines() if line.startswith("#")) <= 80
 
 
 def test_options_are_described_as_the_keys_they_set(capsys: pytest.CaptureFixture[str]) -> None:

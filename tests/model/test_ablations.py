@@ -369,5 +369,5 @@ def test_command_refuses_what_makes_no_sense(spheres_dataset: Path, tmp_path: Pa
         command("head", str(spheres_dataset), out=tmp_path, steps=1, minutes=1.0).run()
     with pytest.raises(UserError, match="--seeds 0 must be more than 0"):
         command("head", str(spheres_dataset), out=tmp_path, seeds=0).run()
-    with pytest.raises(UserError, match="no scene of test_ood; choose others with --splits"):
+    with pytest.raises(UserError, match="no scene of test_ood; its scenes are of train: choose others with --splits"):
         command("head", str(spheres_dataset), out=tmp_path, splits=("test_ood",)).run()

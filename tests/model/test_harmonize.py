@@ -142,7 +142,7 @@ def test_misaligned_pictures_are_noticed(files: dict[str, Path], capsys: pytest.
 
 def test_unknown_format_is_refused(files: dict[str, Path], capsys: pytest.CaptureFixture[str]) -> None:
     assert run(files | {"out": files["out"].with_suffix(".xyz")}) == 1
-    assert "no picture format" in capsys.readouterr().err
+    assert "no picture is written that ends in" in capsys.readouterr().err
 
 
 def test_nan_is_told(tmp_path: Path) -> None:

@@ -332,10 +332,10 @@ def test_command_says_what_is_wrong(
     bad.write_bytes(b"no model")
     for more, said in (
         (["--asset", str(tmp_path / "none.glb")], "none.glb does not exist"),
-        (["--asset", str(bad)], "bad.glb is not a readable glTF file"),
+        (["--asset", str(bad)], "bad.glb cannot be read: it is damaged, or not what its name says"),
         (["--asset", str(ball), "--side", "33"], "--side 33 must be a power of two"),
         (["--asset", str(ball), "--scale", "-1"], "--scale -1.0 must be above 0"),
-        (["--asset", str(ball), "--pose", str(tmp_path / "none.json")], "none.json cannot be read"),
+        (["--asset", str(ball), "--pose", str(tmp_path / "none.json")], "none.json does not exist"),
         (["--asset", str(ball), "--every", "0"], "--every 0"),
     ):
         assert main([*words, *more], COMMANDS) == 1

@@ -14,9 +14,13 @@ from safetensors import safe_open
 from safetensors.torch import load_file
 from torch import Tensor
 
+from multilight.datagen.cli import main
 from multilight.datagen.config.loading import keys_of, read_values, validated
 from multilight.datagen.errors import UserError
-from multilight.model.configs.stage2d import NETWORKS, LossConfig, TrainingConfig
+from multilight.model.cli import COMMANDS
+from multilight.model.configs.ready import CONFIGS, weights_config
+from multilight.model.configs.stage2d import NETWORKS, LossConfig, NetworkConfig, TrainingConfig
+from multilight.model.configs.stage3d import SceneTrainingConfig
 from multilight.model.networks.checkpoint import load_network, newest_checkpoint
 from multilight.model.networks.compositing2d import Compositing2D
 from multilight.model.training.batches import ALONE, Batch, Process, stage_at, training_batches
@@ -307,6 +311,19 @@ def test_configuration_errors_name_the_key(tmp_path: Path, text: str, message: s
         validated(read_values(path), TrainingConfig, path)
     assert message in str(caught.value)
     assert str(path) in str(caught.value)
+
+
+def test_ready_made_configurations_go_by_name_and_are_shown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name, path in CONFIGS.items():
+        kind: type[TrainingConfig] = SceneTrainingConfig if name == "slim3d" else TrainingConfig
+        assert main(["train", name, "--data", "elsewhere", "--show"], COMMANDS) == 0
+        (tmp_path / "shown.toml").write_text(capsys.readouterr().out)
+        made = validated(read_values(tmp_path / "shown.toml"), kind, None)
+        assert made == validated(read_values(path), kind, path, {"data.train": "elsewhere"})
+    assert weights_config(Path("slim"), NetworkConfig) == NETWORKS["slim"]
 
 
 def test_ready_made_configurations_are_valid() -> None:

@@ -103,5 +103,5 @@ def test_evaluated_together_and_consistent(spheres_dataset: Path, weights2d: Pat
 
 
 def test_weights_of_the_other_stage_are_refused(weights2d: Path) -> None:
-    with pytest.raises(UserError, match="cannot be read"):
+    with pytest.raises(UserError, match="of the 2D stage, those of the 3D stage are asked for"):
         load_network3d(weights2d)
