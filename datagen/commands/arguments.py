@@ -77,14 +77,18 @@ def parsed(words: Sequence[str], commands: Mapping[str, type]) -> Any:
 
 def _formats(kind: type) -> dict[str, type]:
     """Return the sub-commands of a command by name: those that its first field is one of."""
-    kinds = filter(dataclasses.is_dataclass, get_args(next(iter(get_type_hints(kind).values()))))
+    kinds = filter(_is_group, get_args(next(iter(get_type_hints(kind).values()))))
     return {re.sub("(?<!^)(?=[A-Z])", "-", kind.__name__).lower(): kind for kind in kinds}
+
+
+def _is_group(hint: Any) -> bool:
+    return dataclasses.is_dataclass(hint)
 
 
 def _options(kind: type) -> Iterator[str]:
     """List the options of a command, those of its groups as well."""
     for name, inner in get_type_hints(kind).items():
-        if dataclasses.is_dataclass(inner):
+        if _is_group(inner):
             yield from _options(inner)
         else:
             yield f"--{name.replace('_', '-')}"
@@ -118,7 +122,8 @@ def _shown(field: StructFieldSpec) -> StructFieldSpec:
     shown_as = tyro.conf.arg(metavar=metavar, help_behavior_hint=hint)
     text = field.helptext
     joined = " ".join(((text() if callable(text) else text) or "").split())  # docstrings of two lines keep their break
-    return dataclasses.replace(field, type=Annotated[(kind, shown_as, *more)], helptext=joined or None)
+    annotated: Any = Annotated[(kind, shown_as, *more)]
+    return dataclasses.replace(field, type=annotated, helptext=joined or None)
 
 
 @REGISTRY.primitive_rule

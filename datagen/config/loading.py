@@ -101,13 +101,11 @@ def _key(error: Any) -> str:
 
 
 def _meant(key: str, known: list[str]) -> str:
-    """Ask for the known key or table that looks most like a wrong one; else list what stands beside it."""
+    """Ask for the known key or table that looks most like a wrong one, wherever it stands; else list those beside."""
     table, _, name = key.rpartition(".")
-    tables = dict.fromkeys(filter(None, (other.rpartition(".")[0] for other in known)))
-    beside = [other.rpartition(".")[2] for other in (*known, *tables) if other.rpartition(".")[0] == table]
-    if near := did_you_mean(name, beside):
-        return near.replace("'", f"'{table}.", 1).strip() if table else near.strip()
-    elsewhere = {other.rpartition(".")[2]: other for other in reversed(known)}
-    if name in elsewhere or (name := next(iter(get_close_matches(name, elsewhere, n=1)), "")):
-        return f"did you mean {elsewhere[name]!r}?"
+    every = [*known, *dict.fromkeys(filter(None, (other.rpartition(".")[0] for other in known)))]
+    beside = {other.rpartition(".")[2]: other for other in every if other.rpartition(".")[0] == table}
+    names = {other.rpartition(".")[2]: other for other in reversed(every)} | beside
+    if close := get_close_matches(name, names, n=1):
+        return f"did you mean {names[close[0]]!r}?"
     return f"known keys{' of ' + table if table else ''}: {', '.join(beside)}"

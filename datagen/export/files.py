@@ -32,4 +32,4 @@ def repeat(first: Path, path: Path) -> None:
 def write_json(path: Path, content: Any) -> None:
     """Write JSON with one key a line."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(content, indent=1) + "\n")
+    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

@@ -98,7 +98,7 @@ def scene_number(name: str) -> int | None:
 def write_text(path: Path, text: str) -> None:
     """Write a text file, whole or not at all."""
     with write_whole(path) as work:
-        work.write_text(text)
+        work.write_text(text, encoding="utf-8")
 
 
 def file_sha256(path: Path) -> str:

@@ -33,7 +33,7 @@ class Files:
         text = ies_text(np.linspace(0.0, 180.0, len(profile)), [0.0], [profile])
         name = f"luminaire-{hashlib.sha256(text.encode()).hexdigest()[:8]}.ies"
         (self._folder / FOLDER).mkdir(parents=True, exist_ok=True)
-        (self._folder / FOLDER / name).write_text(text)
+        (self._folder / FOLDER / name).write_text(text, encoding="utf-8")
         return f"./{FOLDER}/{name}"
 
     def _copied(self, asset: str, source: Path) -> str:

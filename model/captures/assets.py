@@ -73,10 +73,10 @@ def _from_file(path: Path) -> Asset:
         pieces = load_scene(path, path.parent).dump()
         parts = [raw_part(piece, keep) for piece in pieces if isinstance(piece, trimesh.Trimesh)]
         mesh = clean_mesh(transformed(parts, Z_UP_FROM_Y_UP))
-    except AssetError:
-        raise
+    except AssetError as error:
+        raise UserError(f"asset {error}") from None
     except Exception as error:  # trimesh raises whatever a broken file makes it stumble over
-        raise unreadable(path, error) from None
+        raise UserError(f"asset {unreadable(path, error)}") from None
     return Asset(mesh, textures)
 
 

@@ -62,6 +62,8 @@ class Evaluate:
         lpips = Lpips.load(self.lpips) if self.lpips else None
         with progress("objects") as report:
             found = evaluate(groups, methods, lpips=lpips, report=report)
+        if not found.frames:
+            raise UserError(f"--size {self.cases.size}: no picture shows enough of its object; choose a larger one")
         about = self._about(weights, len(found.frames))
         write_evaluation(found, about, self.out)
         print(markdown(tables_of(found), about))

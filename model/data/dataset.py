@@ -1,5 +1,6 @@
 """PyTorch datasets over a native or packed dataset: map-style and streaming."""
 
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -51,6 +52,9 @@ class MultiLightDataset(Dataset[Sample]):
         """Open a dataset at any address; raises `StoreError` and `UserError` naming the value and the remedy."""
         self.settings = settings
         self.source = open_training(address, where=settings.filter())
+        sides = [min(size) for size in self.source.index.select("width", "height").iter_rows()]
+        if sides and settings.size > max(sides):
+            print(f"size {settings.size}: the views of {address} have {max(sides)} pixels, enlarged", file=sys.stderr)
         places = places_of(self.source.visible, settings)
         self.plan = Plan(places, settings, self.source.source.record.config.conditions)
         self._about = {row["index"]: row for row in self.source.index.select("index", "kind", "emissive").to_dicts()}

@@ -1,9 +1,10 @@
 """What a sample should be."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 from multilight.datagen.errors import UserError
+from multilight.datagen.text import did_you_mean
 from multilight.scenes.assets.splits import Split
 
 
@@ -30,11 +31,14 @@ class SampleSettings:
     repeat: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("size", "views", "length"):
-            if getattr(self, name) < 1:
-                raise UserError(f"{name} {getattr(self, name)} must be 1 or more")
-        if self.seed < 0:
-            raise UserError(f"seed {self.seed} must be 0 or more")
+        for name, least in (("size", 1), ("views", 1), ("length", 1), ("seed", 0)):
+            value = getattr(self, name)
+            if not isinstance(value, int) or value < least:
+                raise UserError(f"{name} {value} must be a whole number from {least} up")
+        for name, words in (("split", get_args(Split)), ("lighting", ("random", "stored"))):
+            value = getattr(self, name)
+            if value not in words and not (name == "split" and value is None):
+                raise UserError(f"{name} {value!r}: {did_you_mean(str(value), words)}there are {', '.join(words)}")
 
     def filter(self) -> str | None:
         """Return one SQL expression for `split` and `where`."""

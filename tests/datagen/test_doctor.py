@@ -207,6 +207,13 @@ def test_without_gpu_and_llvm_cycles_renders(monkeypatch: pytest.MonkeyPatch, ca
     assert "multilight doctor --fetch" in line
 
 
+def test_a_bare_installation_is_told_what_to_install() -> None:
+    nothing = doctor.Part("", "is not installed")
+    assert doctor._command(Choice(None, "Mitsuba is not installed", None), (nothing,) * 3).endswith(
+        "multilight[render]'"
+    )
+
+
 @pytest.fixture(scope="session")
 def diagnosis() -> doctor.Diagnosis:
     return doctor.diagnose()

@@ -51,6 +51,32 @@ def test_readers_that_leave_end_commands_quietly(spheres_dataset: Path) -> None:
     assert (done.returncode, done.stderr) == (128 + signal.SIGPIPE, "")
 
 
+def test_help_and_mistakes_that_nobody_reads_are_quiet() -> None:
+    for words in ("--help", "mix --help"):
+        done = shell(f"{RUN} {words} | true")
+        assert (done.returncode in (0, 128 + signal.SIGPIPE), done.stderr) == (True, "")
+        done = shell(f"{RUN} {words} > /dev/full")
+        assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    assert shell(f"{RUN} mixx 2>/dev/full").returncode != 0
+
+
+def test_terminals_and_locales_of_other_alphabets(spheres_dataset: Path, tmp_path: Path) -> None:
+    plain = "LC_ALL=C PYTHONUTF8=0 PYTHONCOERCECLOCALE=0 PYTHONIOENCODING=latin-1"
+    for words in (
+        "--help",
+        "query --help",
+        "config show",
+        f"verify {spheres_dataset} --quick",
+        f"query {spheres_dataset}",
+    ):
+        done = shell(f"{plain} {RUN} {words}")
+        assert (done.returncode, done.stderr) == (0, "")
+    code = "from multilight.datagen.storage.store import write_text, Path; "
+    code += f"write_text(Path('{tmp_path}/t'), 'Gr\\u00fc\\u00dfe')"
+    assert shell(f'{plain} {sys.executable} -X utf8=0 -c "{code}"').stderr == ""
+    assert (tmp_path / "t").read_text(encoding="utf-8") == "Grüße"
+
+
 def test_output_that_is_full_is_one_line(spheres_dataset: Path) -> None:
     for command in (f"query {spheres_dataset}", f"query {spheres_dataset} --json", "config show"):
         done = shell(f"{RUN} {command} > /dev/full")

@@ -87,7 +87,9 @@ def write_card(
         splits="\n".join(rows),
         credits="\n".join(credit_lines(credits)),
     )
-    (folder / "README.md").write_text("\n".join(["---", *_front_matter(shards, credits), "---", text]))
+    (folder / "README.md").write_text(
+        "\n".join(["---", *_front_matter(shards, credits), "---", text]), encoding="utf-8"
+    )
 
 
 def _front_matter(shards: Shards, credits: Sequence[AssetCredit]) -> list[str]:
