@@ -22,12 +22,10 @@ SEEN = 0.1
 
 
 def with_depth(capture: Capture, gaussians: Path | None, depth_model: Path | None) -> Capture:
-    """Give a capture depth, from what the user has; its own depth stays unless Gaussians are given.
+    """Give a capture depth, from what the user has: Gaussians go first, then its own, then a model's.
 
     Raises `UserError` with the remedies where there is nothing to take it from.
     """
-    if gaussians is not None and depth_model is not None:
-        raise UserError("give either --gaussians or --depth-model, not both")
     if gaussians is not None:
         return replace(capture, z_depths=depth_of_gaussians(capture, gaussians))
     if capture.z_depths is not None:

@@ -26,10 +26,6 @@ def placed(capture: Capture, asset: Asset, wish: Wish) -> Float64:
 
     Raises `UserError` for a pose file that cannot be read and where no plane is found.
     """
-    if wish.scale is not None and not 0 < wish.scale < np.inf:
-        raise UserError(f"--scale {wish.scale} must be above 0, and finite")
-    if not np.isfinite(wish.yaw) or wish.seed < 0:
-        raise UserError(f"--yaw {wish.yaw} must be finite, --seed {wish.seed} 0 or more")
     if wish.pose is not None:
         return _from_file(wish.pose, capture, asset, wish)
     plane = find_plane(capture, np.random.default_rng(wish.seed))

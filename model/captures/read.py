@@ -12,8 +12,6 @@ def read_capture(path: Path, *, max_side: int = 512, every: int = 1) -> Capture:
 
     Raises `UserError` naming what is missing.
     """
-    if every < 1 or max_side < 16:
-        raise UserError(f"--every {every} must be 1 or more, --max-side {max_side} 16 or more")
     if not path.exists():
         raise UserError(f"capture {path} does not exist")
     file = path / "transforms.json" if path.is_dir() else path

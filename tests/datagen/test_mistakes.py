@@ -109,7 +109,7 @@ MISTAKES = {
     "train slim3d --data DATA --minutes 1 --out O --data NONE": "data.train: NONE/dataset.json is missing",
     "train UNSEEN": "has no scene of split 'test_ood'; set data.validation_split",
     **{
-        f"export {name} DATA --out O --where index=77": "no scene where index=77 to export"
+        f"export {name} DATA --out O --where index=77": "holds no finished scene for which index=77"
         for name in ("usd", "webdataset", "nerfstudio", "colmap", "luxremix")
     },
 }
