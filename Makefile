@@ -59,9 +59,9 @@ quick: .venv/installed-dev
 	$(BIN)/pytest $(PARALLEL) -m "not slow" $(QUICK)
 
 train: .venv/installed-train assets
-	$(MULTILIGHT) dataset --config model/configs/data.toml --out out/training
+	$(MULTILIGHT) dataset --preset training --out out/training
 	$(MULTILIGHT) pack out/training --out out/training-packed
-	$(MULTILIGHT) train model/configs/slim.toml --data out/training-packed --out out/slim
+	$(MULTILIGHT) train slim --data out/training-packed --out out/slim
 	$(MULTILIGHT) evaluate out/training-packed --size 192 --weights out/slim/model.safetensors --out out/slim/evaluation
 
 check: .venv/installed-dev

@@ -1,0 +1,85 @@
+"""The commands and the code in the documents run as they are printed, one after the other, in an empty folder.
+
+Only sizes are others: datasets are of closed-form spheres, and trainings take no minutes.
+"""
+
+import re
+import shlex
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from multilight.datagen.cli import COMMANDS as MAKING
+from multilight.datagen.cli import main
+from multilight.model.cli import COMMANDS as LEARNING
+from multilight.model.data import MultiLightDataset
+from tests import ROOT
+from tests.conftest import SPHERES
+from tests.model.test_harmonize import depth_onnx
+from tests.test_documents import blocks
+
+PAGES = ("making", "dataset", "exports", "training", "model")
+SIZES = {
+    "dataset": [*SPHERES, "--views", "4", "--scenes", "3", "--config", "demo.toml"],
+    "train": ["--minutes", "0.001"],
+    "evaluate": ["--size", "32", "--groups", "1", "--splits", "train"],
+    "insert": ["--side", "16"],
+}
+"""What a command is given besides, so that it takes seconds."""
+SPLITS = "kind = 'spheres'\nood_kinds = []\nsplits = {train = 0.5, val = 0.2, test = 0.2, test_ood = 0.1}\n"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory, capture_folders: dict[str, Path]) -> Path:
+    """An empty folder, but for the set that `make dataset` makes and the files of one's own that are named."""
+    here = tmp_path_factory.mktemp("documents")
+    (here / "demo.toml").write_text(SPLITS)
+    made = ["dataset", "--out", str(here / "out" / "dataset"), *SPHERES, "--views", "4", "--scenes", "8"]
+    assert main([*made, "--config", str(here / "demo.toml"), "--seed", "275"]) == 0
+    shutil.copytree(capture_folders["nerfstudio"], here / "CAPTURE")
+    rng = np.random.default_rng(0)
+    for name, mode in {"a": "RGB", "b": "RGB", "m": "L"}.items():
+        values = rng.integers(0, 255, (48, 64, 3) if mode == "RGB" else (48, 64), np.uint8)
+        Image.fromarray(values, mode).save(here / f"{name}.png")
+    trimesh.creation.icosphere(radius=0.1).export(here / "vase.glb")
+    depth_onnx(here / "depth_anything_v2.onnx")
+    return here
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", PAGES)
+def test_commands_run_as_printed(page: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    (folder / "mine.toml").write_text("".join(blocks(ROOT / "docs" / "making.md", "toml")))
+    for line in "\n".join(blocks(ROOT / "docs" / f"{page}.md", "sh")).splitlines():
+        words = shlex.split(line.replace("'room'", "'spheres'"), comments=True)
+        words = words[: words.index(">")] if ">" in words else words
+        if not words:
+            continue
+        assert words[0] == "multilight", line
+        code = main([*words[1:], *SIZES.get(words[1], [])], MAKING | LEARNING)
+        # Spheres do not glow: a look-up may find none.
+        assert code == 0 or (code == 1 and words[1] == "query"), line
+
+
+@pytest.mark.slow
+def test_code_runs_as_printed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    pictures = {name: np.asarray(Image.open(f"{name}.png")) for name in "abm"}
+    names: dict[str, object] = {
+        "composite": pictures["a"], "background": pictures["b"], "mask": pictures["m"] / 255.0,
+        "depth": np.full((48, 64), 0.5, np.float32),
+    }  # fmt: skip
+    ran = 0
+    for page in PAGES:
+        for code in blocks(ROOT / "docs" / f"{page}.md", "python"):
+            if "import multilight" in code or "from multilight" in code:
+                code = re.sub(r"emissive or mirror", "objects > 0", code.replace("'room'", "'spheres'"))
+                exec(compile(code.replace("out/packed", "out/dataset"), f"{page}.md", "exec"), names)
+                ran += 1
+    assert ran == 3
+    assert isinstance(names["data"], MultiLightDataset)
