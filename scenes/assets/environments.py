@@ -1,6 +1,7 @@
 """Environment maps: bpy's own and those of the npm package `@pmndrs/assets`, cleaned into the cache."""
 
 import base64
+import hashlib
 import importlib.util
 import re
 from dataclasses import dataclass
@@ -78,19 +79,43 @@ def _infos(pack: str, maps: dict[str, _Map], names: list[str], prefix: str) -> l
 
 
 def read_environment(path: Path) -> Float32:
-    """Read an equirectangular EXR as (H, W, 3) float32; raises `AssetError` where it is broken or not finite."""
+    """Read an equirectangular EXR as (H, W, 3) float32; of luminance alone it is grey.
+
+    Raises `AssetError` where it is broken, not finite, black, or not twice as wide as high.
+    """
     try:
         _check_size(path)
         with OpenEXR.File(str(path), separate_channels=True) as file:
             channels = file.channels()
-            image = np.stack([channels[c].pixels for c in "RGB"], axis=-1).astype(np.float32)
+            names = "YYY" if "Y" in channels and "R" not in channels else "RGB"
+            image = np.stack([channels[c].pixels for c in names], axis=-1).astype(np.float32)
     except (OSError, RuntimeError, ValueError, KeyError, TypeError) as error:
         raise AssetError(f"{path} is not a readable RGB EXR file: {error}") from error
-    if not np.isfinite(image).all():
-        raise AssetError(f"{path} holds NaN or infinity")
-    if not image.max() > 0:
-        raise AssetError(f"{path} is black")
+    check_map(image, str(path))
     return image
+
+
+def check_map(image: Float32, name: str) -> None:
+    """Raise `AssetError` where (H, W, 3) is no map of a sky: not finite, black, or not twice as wide as high."""
+    if not np.isfinite(image).all():
+        raise AssetError(f"{name} holds NaN or infinity; repair it, or leave it out")
+    if not image.max() > 0:
+        raise AssetError(f"{name} is black; leave it out")
+    if image.shape[1] != 2 * image.shape[0]:
+        raise AssetError(
+            f"{name} is {image.shape[1]} x {image.shape[0]} pixels; a latitude-longitude map is twice as wide as high"
+        )
+
+
+def keep_map(image: Float32, name: str, folder: Path) -> str:
+    """Write a sky (H, W, 3) into `folder` under a name made of what it holds, which is returned.
+
+    Raises `AssetError` with `name` where it cannot serve.
+    """
+    check_map(image, name)
+    kept = f"sky-{hashlib.sha256(f'{image.shape}'.encode() + image.tobytes()).hexdigest()[:32]}"
+    write_once(folder / f"{kept}.exr", lambda path: _write_half(image, path))
+    return kept
 
 
 def _check_size(path: Path) -> None:
@@ -125,13 +150,14 @@ def without_negatives(image: Float32) -> Float32:
 def clean_copy(source: Path, target: Path) -> Path:
     """Write a non-negative half-float copy of an environment map, once."""
 
-    def write(path: Path) -> None:
-        image = np.clip(without_negatives(read_environment(source)), 0, LARGEST_HALF).astype(np.float16)
-        header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-        with OpenEXR.File(header, {"RGB": image}) as file:
-            file.write(str(path))
+    return write_once(target, lambda path: _write_half(read_environment(source), path))
 
-    return write_once(target, write)
+
+def _write_half(image: Float32, path: Path) -> None:
+    half = np.clip(without_negatives(image), 0, LARGEST_HALF).astype(np.float16)
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with OpenEXR.File(header, {"RGB": half}) as file:
+        file.write(str(path))
 
 
 def _bpy_folder() -> Path | None:

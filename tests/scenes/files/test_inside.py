@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from multilight.scenes.assets.formats.gltf import LIGHTS_KEY
 from PIL import Image
 
 from multilight.datagen.cli import main
 from multilight.datagen.errors import StoreError, UserError
 from multilight.datagen.storage.source import open_dataset
-from multilight.scenes.assets.formats.gltf import LIGHTS_KEY
 from multilight.scenes.assets.formats.scene_file import FoundLight
 from multilight.scenes.assets.info import AssetError
 from multilight.scenes.assets.packs.background import BackgroundPack

@@ -14,6 +14,7 @@ import numpy as np
 import OpenEXR
 import pytest
 import trimesh
+from multilight.scenes.assets.formats.gltf import read_gltf
 from safetensors.numpy import save_file
 
 from multilight.datagen.cli import main
@@ -24,7 +25,6 @@ from multilight.model.inference.pictures import read_depth, read_picture
 from multilight.model.networks.checkpoint import load_network
 from multilight.scenes.assets.environments import read_environment
 from multilight.scenes.assets.formats import claims
-from multilight.scenes.assets.formats.gltf import read_gltf
 from multilight.scenes.assets.info import AssetError
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.files.limits import MOST_TRIANGLES, read_bytes, read_json, read_toml
