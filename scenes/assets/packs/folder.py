@@ -34,8 +34,6 @@ Z_UP = (".ply", ".stl", ".blend", ".usd", ".usda", ".usdc", ".usdz")
 """Formats that are Z-up, or say themselves what is up; the others are Y-up."""
 _PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".tga")
 ROLES = ("object", "table", "surrounding")
-LARGEST_OBJECT = 2.5
-"""Longest side [m] beyond which a model whose name says nothing is furniture or more, not an object."""
 
 
 @dataclass(frozen=True)
@@ -123,9 +121,7 @@ class FolderPack(Pack):
                 size = self._size(entry)
             except AssetError:
                 size = None
-            role = role or (guesses.ROLES[category][0] if category in guesses.ROLES else None)
-            if role is None:
-                role = "surrounding" if size is not None and max(size) > LARGEST_OBJECT else "object"
+            role = role or guesses.role_of(category, size)
         return AssetInfo(
             id=f"{self.name}/{entry.name}",
             pack=self.name,
@@ -162,10 +158,10 @@ class FolderPack(Pack):
 
     def warnings(self, info: AssetInfo) -> Iterator[str]:
         """Say where a model is not of its category's usual size."""
-        usual = guesses.ROLES.get(info.category)
-        if usual is not None and info.size is not None and not usual[1][0] <= max(info.size) <= usual[1][1]:
+        usual = guesses.USUAL.get(info.category)
+        if usual is not None and info.size is not None and not usual[1] <= max(info.size) <= usual[2]:
             yield (
-                f"is {max(info.size):.4g} m large, a {info.category} is usually {usual[1][0]:g} to {usual[1][1]:g}; "
+                f"is {max(info.size):.4g} m large, a {info.category} is usually {usual[1]:g} to {usual[2]:g}; "
                 "set metres_per_unit, or another category, in assets.csv"
             )
 

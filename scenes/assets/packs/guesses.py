@@ -31,18 +31,19 @@ PLAIN_NAMES = frozenset(
     ]
 )
 """Names of files and folders that say nothing of what is in them, as sets are published."""
-ROLES: dict[str, tuple[AssetRole, tuple[float, float]]] = {
-    "table": ("table", (0.2, 3.5)), "desk": ("table", (0.6, 3.0)), "coffee_table": ("table", (0.3, 2.0)),
-    "chair": ("surrounding", (0.4, 1.6)), "armchair": ("surrounding", (0.5, 1.6)), "sofa": ("surrounding", (0.8, 4.5)),
-    "stool": ("surrounding", (0.25, 1.3)), "bookcase": ("surrounding", (0.4, 3.5)), "bed": ("surrounding", (0.8, 3.0)),
-    "wardrobe": ("surrounding", (0.6, 4.0)), "floor_lamp": ("surrounding", (0.6, 2.5)),
-    "lamp": ("object", (0.08, 1.0)), "mug": ("object", (0.05, 0.25)), "cup": ("object", (0.04, 0.25)),
-    "bottle": ("object", (0.05, 0.6)), "vase": ("object", (0.04, 1.2)), "bowl": ("object", (0.05, 0.6)),
-    "plate": ("object", (0.08, 0.5)), "shoe": ("object", (0.08, 0.6)), "book": ("object", (0.05, 0.6)),
-    "toy": ("object", (0.02, 1.0)), "teapot": ("object", (0.08, 0.5)), "plant": ("object", (0.05, 3.0)),
-    "room": ("surrounding", (1.5, 500.0)),
+USUAL: dict[str, tuple[AssetRole, float, float]] = {
+    "table": ("table", 0.2, 3.5), "desk": ("table", 0.6, 3.0), "coffee_table": ("table", 0.3, 2.0),
+    "chair": ("surrounding", 0.4, 1.6), "armchair": ("surrounding", 0.5, 1.6), "sofa": ("surrounding", 0.8, 4.5),
+    "stool": ("surrounding", 0.25, 1.3), "bookcase": ("surrounding", 0.4, 3.5), "bed": ("surrounding", 0.8, 3.0),
+    "wardrobe": ("surrounding", 0.6, 4.0), "floor_lamp": ("surrounding", 0.6, 2.5), "lamp": ("object", 0.08, 1.0),
+    "mug": ("object", 0.05, 0.25), "cup": ("object", 0.04, 0.25), "bottle": ("object", 0.05, 0.6),
+    "vase": ("object", 0.04, 1.2), "bowl": ("object", 0.05, 0.6), "plate": ("object", 0.08, 0.5),
+    "shoe": ("object", 0.08, 0.6), "book": ("object", 0.05, 0.6), "toy": ("object", 0.02, 1.0),
+    "teapot": ("object", 0.08, 0.5), "plant": ("object", 0.05, 3.0), "room": ("surrounding", 1.5, 500.0),
 }  # fmt: skip
-"""Role and usual longest side [m] of a category."""
+"""Role of a category, and its usual longest side [m]."""
+LARGEST_OBJECT = 2.5
+"""Longest side [m] beyond which a model whose name says nothing is furniture or more, not an object."""
 _WORDS = {
     "coffee_table": "coffee_table coffeetable couchtisch 茶几", "desk": "desk schreibtisch escritorio bureau 书桌",
     "table": "table tisch mesa tavolo bord stol 桌 机 テーブル стол", "armchair": "armchair sessel fauteuil",
@@ -95,6 +96,14 @@ def named_id(parts: tuple[str, ...]) -> str:
 def category_of(text: str) -> str | None:
     """Guess what a thing is from the last of its name's words that says so."""
     return _first(text, _WORDS)
+
+
+def role_of(category: str | None, size: tuple[float, float, float] | None) -> AssetRole:
+    """Guess the role of a model from its category, where its size [m] is one that such things have, else from that."""
+    largest = 0.0 if size is None else max(size)
+    if category in USUAL and (size is None or USUAL[category][1] <= largest <= USUAL[category][2]):
+        return USUAL[category][0]
+    return "surrounding" if largest > LARGEST_OBJECT else "object"
 
 
 def place_of(text: str) -> tuple[str, str]:

@@ -1,0 +1,229 @@
+"""Files of users' kinds (tests/scenes/cases): each comes in as its maker made it, or is named.
+
+Every row is a kind of file that people had, and what is right for it.
+"""
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from multilight.scenes.assets.check import check_assets
+from multilight.scenes.assets.environments import read_environment
+from multilight.scenes.assets.formats.intake import Intake
+from multilight.scenes.assets.info import AssetError
+from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.meshes import MeshPart
+from multilight.scenes.spec import Texture
+
+CASES = Path(__file__).with_name("cases")
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A cache into which all cases have been read, a few processes for all."""
+    made = tmp_path_factory.mktemp("cache")
+    files = sorted(p for name in ("bg", "models", "more", "objs", "usd", "blend") for p in (CASES / name).iterdir())
+    Intake(made).convert((p, p.parent) for p in files if p.suffix not in (".png", ".mtl", ".bin", ".exr"))
+    return made
+
+
+class Read:
+    """What was read of a case: its parts, lights, size and account."""
+
+    def __init__(self, name: str, cache: Path) -> None:
+        self._file = CASES / name
+        background = self._file.parent.name in ("bg", "usd", "blend")
+        folder = self._file if self._file.is_dir() else self._file.parent
+        folders = () if background else (folder,)
+        self.library = AssetLibrary(cache, packs=(), folders=folders, background=self._file if background else None)
+        self.pack = "background" if background else folder.name
+        if background:
+            assert self.library.background is not None
+            names = [piece.name for piece in self.library.background.pieces]
+        else:
+            entries = self.library._packs[self.pack]._entries  # type: ignore[attr-defined]
+            names = [name for name, entry in entries.items() if self._file in (entry.file, *entry.file.parents)]
+        self.meshes = {name: self.library.mesh(f"{self.pack}/{name}") for name in names}
+        self.parts = [part for mesh in self.meshes.values() for part in mesh.parts]
+        self.notes = "\n".join(str(note) for name in names for note in self.library._packs[self.pack].notes(name))
+        self.lights = {} if not background else {light.name: light for light in self.library.background.lights}  # type: ignore[union-attr]
+
+    @property
+    def size(self) -> list[float]:
+        """The size of the one mesh [m]."""
+        ((low, high),) = (mesh.bounds() for mesh in self.meshes.values())
+        return [round(float(v), 4) for v in high - low]
+
+    def pixels(self, texture: Texture | None) -> np.ndarray:
+        """Return a texture's pixels."""
+        assert texture is not None
+        with Image.open(self.library.texture_path(texture.image)) as picture:
+            return np.asarray(picture)
+
+
+def tiled(part: MeshPart, texture: Texture | None) -> list[float]:
+    """Return how often a texture repeats over a part in each direction."""
+    assert texture is not None
+    return [round(float(v), 4) for v in np.ptp(part.uv, axis=0) * texture.repeat]
+
+
+def only(read: Read) -> MeshPart:
+    (part,) = read.parts
+    return part
+
+
+def is_textured(read: Read) -> bool:
+    """The one part shows the 64-pixel picture of the cases."""
+    return read.pixels(only(read).material.base_color_texture).shape[:2] == (64, 64)
+
+
+def material(**wanted: Any) -> Callable[[Read], bool]:
+    """The one part's material has these values."""
+
+    def check(read: Read) -> bool:
+        made = only(read).material
+        return all(getattr(made, name) == pytest.approx(value, abs=1e-5) for name, value in wanted.items())
+
+    return check
+
+
+def shows_ramp(read: Read) -> bool:
+    pixels = read.pixels(only(read).material.base_color_texture)[..., 0]
+    return bool(pixels.min() < 10 < 245 < pixels.max() and len(np.unique(pixels)) > 20)
+
+
+def shows_checker(read: Read) -> bool:
+    pixels = read.pixels(only(read).material.base_color_texture).reshape(-1, 3).astype(int)
+    red, blue = (pixels[:, 0] > pixels[:, 2] + 50).mean(), (pixels[:, 2] > pixels[:, 0] + 50).mean()
+    return bool(0.4 < red < 0.6 and 0.4 < blue < 0.6)
+
+
+def mean_roughness(read: Read) -> float:
+    made = only(read).material
+    return made.roughness * float(read.pixels(made.roughness_texture).mean()) / 255
+
+
+def covers(read: Read, x: float, z: float) -> bool:
+    """Tell whether the part has a triangle over a point of the file, which is Y-up, seen along its Y."""
+    part = only(read)
+    corners = part.triangles().astype(float)[:, :, :2] * (1, -1)
+    flat = corners - corners.reshape(-1, 2).min(axis=0)
+    a, b, c = (flat[:, i] - (x, z) for i in range(3))
+    sides = [p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0] for p, q in ((a, b), (b, c), (c, a))]
+    return bool((np.all(np.array(sides) > 1e-9, axis=0) | np.all(np.array(sides) < -1e-9, axis=0)).any())
+
+
+RIGHT: dict[str, Callable[[Read], Any]] = {
+    "bg/c01_texture_transform12.glb": lambda r: tiled(only(r), only(r).material.base_color_texture) == [12, 12],
+    "bg/c03_quantized.glb": lambda r: r.size == [3, 3, 0],
+    "bg/c05_png16.glb": shows_ramp,
+    "bg/c08_light_zero_scale.glb": lambda r: r.lights["p"].amount == pytest.approx((100,) * 3) or "light 'p'" in r.notes,
+    "bg/c15_multi_primitive.glb": lambda r: [p.name for p in r.parts] == ["bg-tex", "bg-b", "bg-c"],
+    "bg/c17_glass.glb": lambda r: [(p.material.transmission, p.material.ior) for p in r.parts] == [(0, 1.5), (1, 1.45)],
+    "bg/c23_same_name_emission.glb": lambda r: [r.lights[n].amount[0] for n in ("bg_l1", "bg_l2")] == [1000, 10],
+    "bg/c33_mask_cutoff.glb": lambda r: only(r).material.alpha_cutoff == 0.2 and only(r).material.opacity_from_alpha,
+    "blend/d04_procedural_checker.blend": shows_checker,
+    "blend/d06_mapping_scale12.blend": lambda r: tiled(only(r), only(r).material.base_color_texture) == [12, 12],
+    "blend/d23_glass.blend": lambda r: [p.material.transmission for p in r.parts if p.material.ior == 1.45] == [1],
+    "blend/d24_diffuse_bsdf_not_principled.blend": lambda r: [
+        (p.material.base_color, p.material.metallic) for p in r.parts if p.material.roughness == 1
+    ] == [((0.8, 0.02, 0.02), 0)],
+    "models/a01_texture_transform.glb": lambda r: tiled(only(r), only(r).material.base_color_texture) == [4, 4],
+    "models/a03_vcol_float_nomat.glb": material(base_color=(1, 0.0497066, 0.0497066)),
+    "models/a05_texcoord1.glb": lambda r: is_textured(r) and np.allclose(only(r).uv, [0.5, 0.5], atol=0.5),
+    "models/a07_quant_normalized.glb": lambda r: r.size == [0.1, 0.1, 0.1],
+    "models/a09_sparse.glb": lambda r: r.size == [0.1, 0.1, 0.1],
+    "models/a16_blend_factor_and_texture.glb": lambda r: is_textured(r) and material(opacity=0.3)(r),
+    "models/a17_transmission_ior.glb": material(transmission=1, ior=1.33, base_color=(0.8,) * 3),
+    "models/a18_clearcoat.glb": material(coat=1, coat_roughness=0.02),
+    "models/a23_normal_scale0.glb": material(normal_texture=None),
+    "models/a24_clamp.glb": lambda r: only(r).material.base_color_texture.wrap == "clamp",
+    "models/a25_png16_gray.glb": shows_ramp,
+    "models/a38 spaced ünicode.gltf": is_textured,
+    "models/a40_instancing.glb": lambda r: len(r.parts) == 3 and r.size == [0.7, 0.1, 0.1],
+    "more/e00_skin_ignores_node_scale.glb": lambda r: r.size == [0.1, 0.1, 0.1],
+    "more/e07_rough16.glb": lambda r: mean_roughness(r) == pytest.approx(0.5, abs=0.01),
+    "more/e13_black_plastic.glb": material(base_color=(0.0055,) * 3, metallic=0),
+    "objs/b00_base.obj": lambda r: is_textured(r) and material(base_color=(0.8,) * 3, metallic=0)(r),
+    "objs/b01_missing_mtl.obj": lambda r: material(base_color=(0.8,) * 3, metallic=0)(r) and "nope.mtl" in r.notes,
+    "objs/b04_map_options.obj": lambda r: tiled(only(r), only(r).material.base_color_texture) == [2, 2],
+    "objs/b13_concave_U.obj": lambda r: covers(r, 0.05, 0.01) and not covers(r, 0.05, 0.06),
+    "objs/b14_vertex_colours.obj": lambda r: only(r).material.base_color[0] > 100 * only(r).material.base_color[1] > 0,
+    "objs/b19_bump_pbr.obj": lambda r: material(roughness=0.2, metallic=1)(r) and only(r).material.normal_texture,
+    "objs/b21_case_mismatch.obj": is_textured,
+    "usd/u05_uvmap_name.usda": is_textured,
+    "usd/u07_transform2d_offset.usda": lambda r: np.allclose([only(r).uv.min(0), only(r).uv.max(0)], [[0.5] * 2, [1] * 2]),
+    "usd/u09_cone_capsule_plane.usda": lambda r: {n: m.bounds()[1, 2] for n, m in r.meshes.items()}
+    == pytest.approx({"bg_floor": 0, "bg_cap": 0.6, "bg_cone": 0.4}),
+    "usd/u10_plane_prim_floor.usda": lambda r: r.size == [3, 3, 0],
+    "usd/u13_light_dome.usda": lambda r: r.lights["l"].kind == "environment" and r.lights["l"].amount == (1000,) * 3,
+    "usd/u13_light_mesh_lightapi.usda": lambda r: r.lights["bg_l"].amount == (1000,) * 3,
+    "usd/u13_light_rect_tex.usda": lambda r: r.lights["l"].kind == "area" and "tex.png" in r.notes,
+    "usd/u14_materialx_only.usda": material(base_color=(0.9, 0.1, 0.1)),
+    "usd/u15_concave.usda": lambda r: len(only(r).faces) == 6
+    and only(r).triangles()[:, :, 1].mean(axis=1).max() < 1.5  # centred: none lies over the notch
+    and float(np.abs(np.cross(*(only(r).triangles()[:, i, :2] - only(r).triangles()[:, 0, :2] for i in (1, 2)))).sum())
+    == pytest.approx(2 * 7.0),
+    "usd/u20_dome_lum_exr.usda": lambda r: np.ptp(
+        read_environment(r.library.environment_path(f"background/{r.lights['d'].map}")), axis=-1
+    ).max() == 0,
+    "folders/gso/mug": is_textured,
+}  # fmt: skip
+REFUSED = {
+    "blend/d10_linked_missing.blend": r"d10_linked_missing\.blend links the library '//lib/lib2\.blend'.* put it there",
+    "models/a33_ktx2_required.glb": r"a33_ktx2_required\.glb: it needs KHR_texture_basisu.* export it without",
+    "models/a34_draco.glb": r"a34_draco\.glb: its Draco compression .* export it without",
+    "models/a36_missing_image.gltf": r"a36_missing_image\.gltf: .*'not_there\.png' is missing; put it beside",
+    "models/a39_broken_png.glb": r"a39_broken_png\.glb: its texture .* cannot be read .* save it as PNG",
+    "usd/u20_dome_nan_exr.usda": r"u20_dome_nan_exr\.usda: .*nan\.exr holds NaN",
+    "usd/u20_dome_square_exr.usda": r"u20_dome_square_exr\.usda: .*square\.exr is 64 x 64 pixels; .* twice as wide",
+}
+
+
+@pytest.mark.parametrize("name", RIGHT)
+def test_a_file_comes_in_as_it_was_made(name: str, cache: Path) -> None:
+    assert RIGHT[name](Read(name, cache))
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_cannot_be_read_is_named(name: str, cache: Path) -> None:
+    with pytest.raises(AssetError, match=REFUSED[name]) as refused:
+        Read(name, cache)
+    assert "\n" not in str(refused.value)
+    assert str(cache) not in str(refused.value)
+
+
+def test_every_case_has_its_row() -> None:
+    kinds = (".glb", ".gltf", ".obj", ".usda", ".blend")
+    files = {str(p.relative_to(CASES)) for p in CASES.glob("[!f]*/*") if p.suffix in kinds}
+    assert files == {name for name in RIGHT | REFUSED if not name.startswith("folders")}
+
+
+def test_names_of_any_script_and_skies_are_assets(cache: Path) -> None:
+    words = AssetLibrary(cache, packs=(), folders=(CASES / "folders" / "cjk",))
+    assert {info.id for info in words.list("object")} == {"cjk/机", "cjk/椅子"}
+    skies = AssetLibrary(cache, packs=(), folders=(CASES / "folders" / "hdri",))
+    assert {info.id: info.place for info in skies.list("environment")} == {"hdri/flat": "flat", "hdri/ok": "ok"}
+    assert all(read_environment(skies.environment_path(i.id)).shape[2] == 3 for i in skies.list("environment"))
+    assert not check_assets(skies)
+
+
+def test_a_copy_elsewhere_is_the_same(cache: Path, tmp_path: Path) -> None:
+    """Names, order, bytes: of a fresh cache, of another folder, all at once or one by one."""
+    shutil.copytree(CASES / "bg", tmp_path / "elsewhere")
+    first, second = (
+        AssetLibrary(place, packs=(), background=folder / "c15_multi_primitive.glb")
+        for place, folder in ((cache, CASES / "bg"), (tmp_path / "cache", tmp_path / "elsewhere"))
+    )
+    names = [{info.id: first.mesh(info.id).sha256() for info in first.list("surrounding")} for first in (first, second)]
+    assert names[0] == names[1] != {}
+    assert sorted(p.name for p in (tmp_path / "cache").rglob("*.png"))
+    moved = Intake(tmp_path / "cache")
+    assert moved.key(tmp_path / "elsewhere" / "c17_glass.glb", tmp_path) == Intake(cache).key(
+        CASES / "bg" / "c17_glass.glb", CASES
+    )
