@@ -15,6 +15,7 @@ from PIL import Image
 from multilight.scenes.assets.check import check_assets
 from multilight.scenes.assets.environments import read_environment
 from multilight.scenes.assets.formats.intake import Intake
+from multilight.scenes.assets.formats.scene_file import ARRAYS, RECORD
 from multilight.scenes.assets.info import AssetError
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.meshes import MeshPart
@@ -105,7 +106,7 @@ def shows_checker(read: Read) -> bool:
 
 def mean_roughness(read: Read) -> float:
     made = only(read).material
-    return made.roughness * float(read.pixels(made.roughness_texture).mean()) / 255
+    return made.roughness * (float(read.pixels(made.roughness_texture).mean()) / 255 if made.roughness_texture else 1.0)
 
 
 def covers(read: Read, x: float, z: float) -> bool:
@@ -227,3 +228,30 @@ def test_a_copy_elsewhere_is_the_same(cache: Path, tmp_path: Path) -> None:
     assert moved.key(tmp_path / "elsewhere" / "c17_glass.glb", tmp_path) == Intake(cache).key(
         CASES / "bg" / "c17_glass.glb", CASES
     )
+
+
+def test_a_damaged_record_is_made_anew(cache: Path, tmp_path: Path) -> None:
+    file = shutil.copy(CASES / "models" / "a09_sparse.glb", tmp_path / "cube.glb")
+    intake = Intake(tmp_path / "cache")
+    whole = intake.read(file, tmp_path)
+    for name in (RECORD, ARRAYS):
+        (path,) = (tmp_path / "cache").rglob(name)
+        path.write_bytes(path.read_bytes()[:50])
+        again = Intake(tmp_path / "cache").read(file, tmp_path)
+        assert [(n.name, len(n.parts[0].faces)) for n in again.nodes] == [(n.name, 12) for n in whole.nodes]
+
+
+def test_what_ends_the_converter_is_named_and_the_rest_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of three files the second makes the process end."""
+    for name, case in (("a", "more/e07_rough16"), ("b", "more/e13_black_plastic"), ("c", "models/a09_sparse")):
+        shutil.copy(CASES / f"{case}.glb", tmp_path / f"{name}.glb")
+    crash = "import os\nfrom multilight.scenes.assets.formats import claims\nread = claims.check_model\n"
+    crash += "claims.check_model = lambda p, f: os.abort() if p.name == 'b.glb' else read(p, f)\n"
+    (tmp_path / "here").mkdir()
+    (tmp_path / "here" / "sitecustomize.py").write_text(crash)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "here"))
+    library = AssetLibrary(tmp_path / "cache", packs=(), folders=(tmp_path,))
+    assert len(library.list("object")) == 3
+    problems = dict(check_assets(library))
+    assert [asset.rpartition("/")[2] for asset in problems] == ["b"]
+    assert "b.glb cannot be read: it ends Blender (SIGABRT)" in next(iter(problems.values()))

@@ -117,6 +117,10 @@ class _Reader:
             raise AssetError(f"{self._path} cannot be read ({reason}); export it again") from None
 
     def _check_libraries(self) -> None:
+        """Refuse what lies outside of the folder, pictures, caches or libraries, and libraries that are missing."""
+        for name in bpy.utils.blend_paths(absolute=True):
+            if Path(name).exists():
+                self._confined(Path(os.path.abspath(name)))
         for library in bpy.data.libraries:
             path = Path(os.path.abspath(bpy.path.abspath(library.filepath)))
             self._confined(path)
@@ -266,8 +270,12 @@ class _Reader:
                 if light.type == "POINT":
                     yield FoundLight(kind="point", amount=amount, **about)
                 else:
-                    half = min(light.spot_size / 2, 1.49)
-                    yield FoundLight(kind="spot", amount=amount, half_angle=half, blend=light.spot_blend, **about)
+                    half, soft = min(light.spot_size / 2, 1.49), light.spot_blend
+                    if gltf:  # which fades over cosines, from an inner cone to the outer one
+                        soft = (math.cos((1 - soft) * half) - math.cos(half)) / (1 - math.cos(half))
+                    yield FoundLight(
+                        kind="spot", amount=amount, half_angle=half, blend=float(np.clip(soft, 0, 1)), **about
+                    )
             case "SUN":
                 unit: Any = "lx" if gltf else "W/m2"
                 angle = 0.0 if gltf else light.angle

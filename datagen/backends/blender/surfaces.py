@@ -242,10 +242,14 @@ class ShaderReader:
         used = [feed for feed in (*feeds.values(), surface.normal) if feed is not None and feed.image is not None]
         at = common([feed.place for feed in used])
         for key in NUMBERS:
-            if feeds[key].image is not None and feeds[key].place.within(at) is None:
+            if feeds[key].image is None:
+                continue
+            values, _ = self._grey(feeds[key])
+            elsewhere = feeds[key].place.within(at) is None
+            if elsewhere:
                 self.note(f"its picture of {key} lies in another way", "one value, its mean", "bake one layout")
-                mean = feeds[key].value * float(self._grey(feeds[key])[0].mean())
-                feeds[key] = Feed((mean,) * 3)
+            if elsewhere or np.ptp(values) == 0:
+                feeds[key] = Feed((feeds[key].value * float(values.mean()),) * 3)
         if surface.normal is not None and surface.normal.place.within(at) is None:
             self.note("its normal map lies in another way", "the surface is smooth", "bake one layout")
             surface.normal = None

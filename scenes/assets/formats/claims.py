@@ -215,7 +215,7 @@ def _check_obj(path: Path, folder: Path, files: set[Path], notes: list[Note]) ->
     """Refuse pictures of an OBJ file's materials that cannot be opened, or lie elsewhere; name a missing library."""
     for library in _files("mtllib", path, path, folder):
         files.add(library)
-        if not other_case(library).is_file():
+        if not other_case(library).exists():
             what = "its materials are plain and matte"
             notes.append(Note(place=library.name, feature="it is missing", instead=what, remedy="put it beside it"))
             continue

@@ -47,7 +47,11 @@ class Intake:
         place, record = self._record(path, folder)
         if record.error is not None:
             raise AssetError(record.error.replace("{file}", str(path)).replace("{folder}", str(folder)))
-        return load_import(place, record)
+        found = read_kept(place / ARRAYS, lambda _: load_import(place, record))
+        if found is None:  # thrown away
+            self._run([(path, folder)])
+            return load_import(*self._record(path, folder))
+        return found
 
     def record(self, path: Path, folder: Path) -> Record:
         """Return the account of a file without its triangles; `error` is set where it cannot be read."""

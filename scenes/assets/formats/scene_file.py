@@ -109,7 +109,7 @@ class Record(Frozen):
     `error` is why it could not be read, with `{file}` for its path and `{folder}` for the folder that holds it.
     """
 
-    files: dict[str, str | None] = {}
+    files: dict[str, str | None] = Field(default_factory=dict)
     error: str | None = None
     nodes: tuple[_Node, ...] = ()
     lights: tuple[FoundLight, ...] = ()
@@ -146,7 +146,8 @@ def save_import(found: Imported, files: dict[str, str | None], folder: Path) -> 
 def load_import(folder: Path, record: Record) -> Imported:
     """Read what `save_import` wrote."""
     nodes = []
-    with np.load(folder / ARRAYS, allow_pickle=False) as data:
+    with (folder / ARRAYS).open("rb") as file:
+        data = np.load(file, allow_pickle=False)
         for n, node in enumerate(record.nodes):
             parts = []
             for p, part in enumerate(node.parts):
