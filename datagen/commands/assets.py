@@ -2,12 +2,13 @@
 
 import sys
 from pathlib import Path
+from typing import get_args
 
 from rich.console import Console
 from rich.table import Table
 
 from multilight.datagen.text import plain, terminal
-from multilight.scenes.assets.check import check_assets
+from multilight.scenes.assets.check import account, check_assets
 from multilight.scenes.assets.fetch import DEFAULT_PACKS, fetch_pack
 from multilight.scenes.assets.library import AssetError, AssetLibrary, AssetRole
 
@@ -44,23 +45,29 @@ def fetch(which: str | None) -> int:
 
 
 def check(which: str | None) -> int:
-    """Load every asset for real and name the broken ones; returns 1 if there are any."""
+    """Load every asset for real and name the broken ones, with an account of one's own; returns 1 if any is broken."""
     library, pack = _library(which)
     problems = check_assets(library, pack)
+    found = [info for role in get_args(AssetRole) for info in library.list(role) if pack in (None, info.pack)]
+    lines = 0
+    for info in (info for info in found if info.as_made):
+        said = account(library, info)
+        lines += max(len(said) - 1, 0)
+        for number, line in enumerate(said):
+            print(plain(line if number else f"{info.id}: {line}"))
     for asset, problem in problems:
         print(plain(f"{asset}: {problem}"))
-    total = sum(pack in (None, info.pack) for role in ROLES for info in library.list(role))
-    print(f"{total} assets, {len(problems)} broken")
-    return 1 if problems or not total else 0
+    print(f"{len(found)} assets, {len(problems)} broken" + (f", {lines} remarks" if lines else ""))
+    return 1 if problems or not found else 0
 
 
 def _library(which: str | None) -> tuple[AssetLibrary, str | None]:
     """Open the library for a pack's name, a folder of models, or everything."""
     if which is None:
         return AssetLibrary(), None
-    if Path(which).is_dir():
-        folder = Path(which).resolve()
-        return AssetLibrary(folders=(folder,)), folder.name
+    if Path(which).exists():
+        library = AssetLibrary(packs=(), folders=(Path(which),))
+        return library, library.packs[0]
     library = AssetLibrary()
     packs = sorted({info.pack for role in ROLES for info in library.list(role)})
     if which not in packs:

@@ -12,6 +12,7 @@ from multilight.scenes.assets.builtin.pack import BuiltinPack
 from multilight.scenes.assets.cache import default_cache, read_kept
 from multilight.scenes.assets.environments import PmndrsPack
 from multilight.scenes.assets.fetch import SOURCES, is_fetched, pack_folder, pack_record
+from multilight.scenes.assets.formats.scene_file import Note
 from multilight.scenes.assets.info import AssetError, AssetInfo, AssetRole
 from multilight.scenes.assets.packs.background import BackgroundPack
 from multilight.scenes.assets.packs.folder import FolderPack
@@ -48,7 +49,7 @@ class AssetLibrary:
 
     `cache` holds fetched packs and converted meshes (default: see `default_cache`).
     `packs` are the names of the packs to use (default: `builtin` and every fetched one); `folders` are the
-    user's own folders of models, each a pack under its folder's name; `background` is a GLB, glTF or USD scene.
+    user's own folders (or single models), each a pack under its folder's name; `background` is a scene of any format.
     `broken` fills with what was asked for and could not be read: asset id → reason. Raises `AssetError` for a pack
     or a background that is not there.
     """
@@ -123,6 +124,15 @@ class AssetLibrary:
                 f"cannot write {path}: {error.strerror or error}; free some space or set MULTILIGHT_CACHE"
             ) from error
         return mesh
+
+    def notes(self, asset: str) -> tuple[Note, ...]:
+        """Return the account of what a model's file states and is not carried; raises `AssetError` where it is none."""
+        pack, name = self._pack(asset)
+        return tuple(pack.notes(name))
+
+    def warnings(self, asset: str) -> tuple[str, ...]:
+        """Say what is odd about a model, but no fault."""
+        return tuple(self._pack(asset)[0].warnings(self.info(asset)))
 
     def texture_path(self, image: str) -> Path:
         """Return the PNG or JPEG file of a texture, made on first use where it is procedural.

@@ -51,18 +51,21 @@ class _Entry:
 
 
 class FolderPack(Pack):
-    """The models, skies and surfaces under `folder`; the pack carries the folder's name."""
+    """The models, skies and surfaces under `folder`, which may be one file; the pack carries its name."""
 
     def __init__(self, folder: Path, cache: Path) -> None:
-        if not folder.is_dir():
-            raise AssetError(f"{folder} is not a folder")
-        self._folder, self._cache = folder.resolve(), cache
-        self.name = self._folder.name
+        self._only = folder.resolve() if folder.is_file() and folder.suffix.lower() in (*SUFFIXES, *SKIES) else None
+        if not folder.is_dir() and self._only is None:
+            raise AssetError(f"{folder} is neither a folder nor one of {', '.join((*SUFFIXES, *SKIES))}")
+        self._folder, self._cache = folder.resolve() if self._only is None else self._only.parent, cache
+        self.name = self._folder.name if self._only is None else self._only.stem
         self._intake = Intake(cache)
 
     @cached_property
     def _entries(self) -> dict[str, _Entry]:
         table = self._folder / "assets.csv"
+        if self._only is not None:
+            return _named([_Entry(guesses.named_id((self._only.stem,)), self._only, self._folder)])
         if table.is_file():
             named: dict[str, _Entry] = {}
             for entry in _read_table(table):
@@ -75,7 +78,7 @@ class FolderPack(Pack):
     @cached_property
     def _surfaces(self) -> dict[str, dict[str, Path]]:
         """Sets of pictures by name: what each holds, and its file."""
-        if (self._folder / "assets.csv").is_file():
+        if self._only is not None or (self._folder / "assets.csv").is_file():
             return {}
         found: dict[str, dict[str, Path]] = {}
         for path, _ in _files(self._folder):
