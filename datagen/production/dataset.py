@@ -10,8 +10,9 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import TimeoutError as FutureTimeout
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import get_args
 
 from pebble import ProcessExpired, ProcessFuture, ProcessPool
 
@@ -21,12 +22,15 @@ from multilight.datagen.config.dataset import DatasetConfig, RendererName
 from multilight.datagen.errors import RunStoppedError, StoreError, UserError, full_disk_told
 from multilight.datagen.files.locks import locked
 from multilight.datagen.production.finishing import finish, survey
-from multilight.datagen.production.library import check_background
+from multilight.datagen.production.library import check_library, located, same_background
 from multilight.datagen.production.worker import WorkerSetup, log_path, run_scene
-from multilight.datagen.storage.records import GHOSTS, DatasetRecord
+from multilight.datagen.storage.records import GHOSTS, DatasetRecord, ImportAccount
 from multilight.datagen.storage.store import COPIES, read_dataset, read_scene, scene_dir, scene_indices, write_text
 from multilight.datagen.verification.dataset import ANEW
+from multilight.scenes.assets.check import MODELS
+from multilight.scenes.assets.info import AssetRole
 from multilight.scenes.assets.library import AssetError, AssetLibrary
+from multilight.scenes.assets.packs.background import PACK
 
 SCENES_A_WORKER = 25  # then a fresh process: a long-lived Blender grows
 SECONDS_A_MEGASAMPLE = 60.0  # a hundred times what a slow core needs; only a hung scene exceeds it
@@ -86,9 +90,13 @@ def make_dataset(plan: Plan, report: Report) -> Outcome:
     """
     renderer = resolve_renderer(plan.config.renderer)
     _check_kind(plan.config, renderer)
-    check_background(plan.config)
+    plan = replace(plan, config=located(plan.config, plan.root))
+    library = check_library(plan.config, plan.asset_folders)
     with locked(plan.root), full_disk_told(plan.root):
         record = _open_record(plan, renderer)
+        if library is not None and (said := _accounts(library)) != record.imports:
+            record = record.model_copy(update={"imports": said}).sealed()
+            write_text(plan.root / "dataset.json", record.model_dump_json(indent=1))
         for name in ("work", "logs"):
             shutil.rmtree(plan.root / name, ignore_errors=True)
         for leftover in plan.root.glob(".*.tmp*"):
@@ -104,7 +112,7 @@ def make_dataset(plan: Plan, report: Report) -> Outcome:
             print(f"scene {index} is damaged and made anew: {reason}", file=sys.stderr)
         if there.rows or there.damaged:
             _check_makers(record, plan)
-        watch = _Watch(report, _broken_models(plan.asset_folders), {})
+        watch = _Watch(report, {} if library is None else _broken_models(library), {})
         failures = _run(plan, renderer, missing, watch)
         shutil.rmtree(plan.root / "work", ignore_errors=True)
         made = tuple(i for i in missing if i not in failures)
@@ -127,7 +135,7 @@ def _check_kind(config: DatasetConfig, renderer: RendererName) -> None:
 
 def _check_makers(record: DatasetRecord, plan: Plan) -> None:
     """Raise `UserError` where packs that scenes drew from are missing; tell where other versions make what is new."""
-    here = {"background", *(folder.resolve().name for folder in plan.asset_folders), *AssetLibrary().packs}
+    here = {PACK, *(folder.resolve().name for folder in plan.asset_folders), *AssetLibrary().packs}
     if missing := sorted({credit.pack for credit in record.assets} - here):
         raise UserError(
             f"{plan.root} was made with the pack {missing[0]!r}, which is not there; run `multilight assets fetch "
@@ -166,7 +174,7 @@ def _open_record(plan: Plan, renderer: RendererName) -> DatasetRecord:
         )
     old, new = record.config.model_dump(), plan.config.model_dump()
     for key in sorted(set(old) - {"scenes", "renderer"}):
-        if old[key] != new[key]:
+        if old[key] != new[key] and not (key == "background" and same_background(record, plan.config.background)):
             raise UserError(
                 f"{plan.root} was made with {key} = {old[key]!r}, not {new[key]!r}; "
                 "use the same value to continue it, or another --out"
@@ -181,7 +189,11 @@ def _open_record(plan: Plan, renderer: RendererName) -> DatasetRecord:
 def _new_record(plan: Plan, renderer: RendererName, variant: str) -> DatasetRecord:
     """Write the `dataset.json` of a dataset that begins."""
     versions = {package: importlib.metadata.version(package) for package in VERSIONS}
-    record = DatasetRecord(config=plan.config, renderer=renderer, variant=variant, versions=versions).sealed()
+    seen = "" if plan.config.background is None else file_digest(plan.config.background) or ""
+    made = DatasetRecord(
+        config=plan.config, renderer=renderer, variant=variant, versions=versions, background_sha256=seen
+    )
+    record = made.sealed()
     write_text(plan.root / "dataset.json", record.model_dump_json(indent=1))
     return record
 
@@ -200,12 +212,19 @@ def _restored_record(plan: Plan, renderer: RendererName, variant: str, error: St
     return _new_record(plan, renderer, variant)
 
 
-def _broken_models(folders: tuple[Path, ...]) -> dict[str, str]:
+def _accounts(library: AssetLibrary) -> tuple[ImportAccount, ...]:
+    """Say of each file of the user's what it states and is not carried."""
+    infos = [info for role in get_args(AssetRole) for info in library.list(role)]
+    own = [info for info in infos if info.as_made] + [i for i in infos if i.pack == PACK and i.role == "surrounding"][
+        :1
+    ]
+    notes = ((info.id, tuple(map(str, library.notes(info.id)))) for info in own if info.role != "texture")
+    return tuple(ImportAccount(asset=asset, notes=said) for asset, said in notes if said)
+
+
+def _broken_models(library: AssetLibrary) -> dict[str, str]:
     """Name the models of the user's folders that cannot be used, with the reason."""
-    if not folders:
-        return {}
-    library = AssetLibrary(folders=folders)
-    for info in (*library.list("object"), *library.list("table")):
+    for info in (info for role in MODELS for info in library.list(role)):
         if info.size is None:
             with contextlib.suppress(AssetError):
                 library.mesh(info.id)

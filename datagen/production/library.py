@@ -5,6 +5,9 @@ from pathlib import Path
 
 from multilight.datagen.config.dataset import DatasetConfig
 from multilight.datagen.errors import UserError
+from multilight.datagen.storage.records import DatasetRecord
+from multilight.scenes.assets.cache import file_digest
+from multilight.scenes.assets.info import AssetError
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.assets.packs.background import PACK
 from multilight.scenes.kinds.custom import background_bodies, find_places
@@ -14,7 +17,7 @@ def open_library(config: DatasetConfig, folders: tuple[Path, ...] = ()) -> Asset
     """Open the assets a dataset draws from; raises `AssetError` where the background cannot be read."""
     if config.kind == "imported" and config.background is not None:
         return _stage_library(config.background, folders)
-    return AssetLibrary(folders=folders, background=config.background)
+    return AssetLibrary(folders=folders, background=config.background, only_own=config.only_assets)
 
 
 def _stage_library(stage: Path, folders: tuple[Path, ...]) -> AssetLibrary:
@@ -29,11 +32,50 @@ def _stage_library(stage: Path, folders: tuple[Path, ...]) -> AssetLibrary:
     return AssetLibrary(folders=folders, background=stage)
 
 
-def check_background(config: DatasetConfig) -> None:
-    """Convert the background, and see that it has surfaces, before any worker starts.
+TABLES = ("tabletop", "room")
+"""Kinds of scenes that need a table."""
 
-    Raises `AssetError` in one line with the file, what is wrong and the remedy.
+
+def check_library(config: DatasetConfig, folders: tuple[Path, ...]) -> AssetLibrary | None:
+    """Read what is the user's own, and see that the scenes can be made of it, before any worker starts.
+
+    Returns the library; None where nothing is the user's. Raises `AssetError` in one line with the file, or what is
+    missing, and the remedy.
     """
-    if config.background is not None and config.kind != "imported":
-        library = open_library(config)
+    if config.kind == "imported" or (config.background is None and not folders and not config.only_assets):
+        return None
+    library = open_library(config, folders)
+    if config.background is not None:
         find_places(background_bodies(library), library)
+    if config.only_assets:
+        _check_enough(config, library, folders)
+    return library
+
+
+def _check_enough(config: DatasetConfig, library: AssetLibrary, folders: tuple[Path, ...]) -> None:
+    """Raise `AssetError` where the user's own are too few for a kind of scene, or for a split."""
+    mixed = [k for k, share in config.kinds.model_dump().items() if share] if config.kind == "mixed" else []
+    kinds = {config.kind, *config.ood_kinds, *mixed}
+    needs = {"object": config.objects[0], "table": int(bool(kinds & {*TABLES}))}
+    where = ", ".join(map(str, folders)) or "any folder"
+    for split, share in config.splits.model_dump().items():
+        for role in ("object", "table") if share else ():
+            found = len(library.restricted(split).list(role))
+            if found < needs[role]:
+                raise AssetError(
+                    f"scenes of the split {split!r} need {needs[role]} {role}(s) or more, and {where} has {found}; add "
+                    f"some, set splits.{split} = 0 or the role in assets.csv, or use --assets instead of --only-assets"
+                )
+
+
+def same_background(record: DatasetRecord, background: Path | None) -> bool:
+    """Tell whether a background is the one that a dataset was made with, wherever it lies."""
+    return background is not None and file_digest(background) == record.background_sha256 != ""
+
+
+def located(config: DatasetConfig, root: Path) -> DatasetConfig:
+    """Return a configuration whose background is found beside the dataset where it is not where it was."""
+    if config.background is None or config.background.exists():
+        return config
+    there = root.resolve().parent / config.background.name
+    return config.model_copy(update={"background": there}) if there.exists() else config

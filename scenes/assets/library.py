@@ -50,7 +50,8 @@ class AssetLibrary:
     `cache` holds fetched packs and converted meshes (default: see `default_cache`).
     `packs` are the names of the packs to use (default: `builtin` and every fetched one); `folders` are the
     user's own folders (or single models), each a pack under its folder's name; `background` is a scene of any format.
-    `broken` fills with what was asked for and could not be read: asset id → reason. Raises `AssetError` for a pack
+    `only_own`: of what is installed nothing is listed but what is made by this program to set scenes in: backdrops,
+    plinths, doors, gobos. `broken` fills with what was asked for and could not be read: asset id → reason. Raises `AssetError` for a pack
     or a background that is not there.
     """
 
@@ -60,10 +61,14 @@ class AssetLibrary:
         packs: tuple[str, ...] | None = None,
         folders: tuple[Path, ...] = (),
         background: Path | None = None,
+        only_own: bool = False,
     ) -> None:
         self.cache = default_cache() if cache is None else Path(cache)
         self.broken: dict[str, str] = {}
+        self._only_own = only_own
         self.split: Split | None = None
+        if only_own:
+            packs = (BuiltinPack.name,)
         wanted = (BuiltinPack.name, *(n for n in SOURCES if is_fetched(n, self.cache))) if packs is None else packs
         self._packs: dict[str, Pack] = {name: _open(name, self.cache) for name in wanted}
         for folder in folders:
@@ -82,8 +87,14 @@ class AssetLibrary:
 
     @cached_property
     def _infos(self) -> dict[str, AssetInfo]:
-        infos = (info for pack in self._packs.values() for info in pack.infos())
+        infos = (info for pack in self._packs.values() for info in pack.infos() if not self._hidden(info))
         return {info.id: info for info in sorted(infos, key=lambda info: info.id)}
+
+    def _hidden(self, info: AssetInfo) -> bool:
+        """Tell whether an asset is not listed, where only the user's own are wanted."""
+        scenery = info.role == "surrounding" or info.category == "gobo"
+        own = info.as_made or info.pack == BackgroundPack.name
+        return self._only_own and not own and not (info.pack == BuiltinPack.name and scenery)
 
     def restricted(self, split: Split) -> "AssetLibrary":
         """Return a view that lists, and hands out, only what scenes of a split may show (see `assets.splits`)."""

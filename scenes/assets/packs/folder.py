@@ -157,7 +157,14 @@ class FolderPack(Pack):
     def notes(self, name: str) -> tuple[Note, ...]:
         """Return the account of what a model's file states and is not carried."""
         entry = self._entries.get(name)
-        return () if entry is None else self._intake.record(entry.file, entry.home).notes
+        if entry is None:
+            return ()
+        record = self._intake.record(entry.file, entry.home)
+        if not record.lights or entry.file.suffix.lower() in SKIES:
+            return record.notes
+        what = f"{len(record.lights)} light(s)"
+        instead, remedy = "a model is lit as its scene is", "set scenes in it with --background"
+        return (*record.notes, Note(place="file", feature=what, instead=instead, remedy=remedy))
 
     def warnings(self, info: AssetInfo) -> Iterator[str]:
         """Say where a model is not of its category's usual size."""
@@ -293,11 +300,12 @@ def _files(folder: Path) -> Iterator[tuple[Path, Path]]:
 
 
 def _scan(folder: Path) -> list[_Entry]:
-    """Find the models and skies under a folder; pictures of a model that is beside them are no skies."""
+    """Find the models and skies under a folder; pictures of a surface, or of a model, are no skies."""
     found = []
     for path, home in _files(folder):
         suffix = path.suffix.lower()
-        if suffix in SUFFIXES or (suffix in SKIES and not guesses.holds_models(path.parent, folder)):
+        picture = guesses.kind_of(path.stem) or path.parent.name.lower() in ("textures", "maps")
+        if suffix in SUFFIXES or (suffix in SKIES and not picture):
             found.append(_Entry(guesses.named_id(path.relative_to(folder).with_suffix("").parts), path, home))
     return sorted(found, key=lambda entry: (entry.name, str(entry.file)))
 
