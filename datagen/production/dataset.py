@@ -27,6 +27,7 @@ from multilight.datagen.production.worker import WorkerSetup, log_path, run_scen
 from multilight.datagen.storage.records import GHOSTS, DatasetRecord, ImportAccount
 from multilight.datagen.storage.store import COPIES, read_dataset, read_scene, scene_dir, scene_indices, write_text
 from multilight.datagen.verification.dataset import ANEW
+from multilight.scenes.assets.cache import file_digest
 from multilight.scenes.assets.check import MODELS
 from multilight.scenes.assets.info import AssetRole
 from multilight.scenes.assets.library import AssetError, AssetLibrary

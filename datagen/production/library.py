@@ -56,15 +56,15 @@ def _check_enough(config: DatasetConfig, library: AssetLibrary, folders: tuple[P
     """Raise `AssetError` where the user's own are too few for a kind of scene, or for a split."""
     mixed = [k for k, share in config.kinds.model_dump().items() if share] if config.kind == "mixed" else []
     kinds = {config.kind, *config.ood_kinds, *mixed}
-    needs = {"object": config.objects[0], "table": int(bool(kinds & {*TABLES}))}
+    needs = {"object": config.objects[1], "table": int(bool(kinds & {*TABLES})), "surrounding": int("room" in kinds)}
     where = ", ".join(map(str, folders)) or "any folder"
     for split, share in config.splits.model_dump().items():
-        for role in ("object", "table") if share else ():
-            found = len(library.restricted(split).list(role))
+        for role in ("object", "table", "surrounding") if share else ():
+            found = sum(info.as_made for info in library.restricted(split).list(role))
             if found < needs[role]:
                 raise AssetError(
-                    f"scenes of the split {split!r} need {needs[role]} {role}(s) or more, and {where} has {found}; add "
-                    f"some, set splits.{split} = 0 or the role in assets.csv, or use --assets instead of --only-assets"
+                    f"scenes of the split {split!r} need {needs[role]} {role}(s) or more, and {where} has {found}; "
+                    f"add some, set fewer `objects`, splits.{split} = 0 or the role in assets.csv, or use --assets"
                 )
 
 

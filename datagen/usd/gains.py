@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from pxr import Gf
 
-from multilight.lights.photometry.radiometry import LUMINOUS_EFFICACY
+from multilight.scenes.colour import LUMINOUS_EFFICACY
 from multilight.scenes.frozen import Rgb
 
 

@@ -48,11 +48,11 @@ class AssetLibrary:
     """All installed assets, in a fixed order.
 
     `cache` holds fetched packs and converted meshes (default: see `default_cache`).
-    `packs` are the names of the packs to use (default: `builtin` and every fetched one); `folders` are the
-    user's own folders (or single models), each a pack under its folder's name; `background` is a scene of any format.
-    `only_own`: of what is installed nothing is listed but what is made by this program to set scenes in: backdrops,
-    plinths, doors, gobos. `broken` fills with what was asked for and could not be read: asset id → reason. Raises `AssetError` for a pack
-    or a background that is not there.
+    `packs` are the names of the packs to use (default: `builtin` and every fetched one); `folders` are the user's own
+    folders (or single models), each a pack under its name; `background` is a scene of any format. `only_own`: of what
+    is installed nothing is listed but what this program makes to set scenes in: backdrops, plinths, doors, gobos, skies
+    by formula. `broken` fills with what was asked for and could not be read: asset id → reason. Raises `AssetError` for
+    a pack or a background that is not there.
     """
 
     def __init__(
@@ -92,7 +92,7 @@ class AssetLibrary:
 
     def _hidden(self, info: AssetInfo) -> bool:
         """Tell whether an asset is not listed, where only the user's own are wanted."""
-        scenery = info.role == "surrounding" or info.category == "gobo"
+        scenery = info.role == "surrounding" or info.category in ("gobo", "sky")
         own = info.as_made or info.pack == BackgroundPack.name
         return self._only_own and not own and not (info.pack == BuiltinPack.name and scenery)
 

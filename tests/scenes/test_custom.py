@@ -17,11 +17,11 @@ from multilight.datagen.config.dataset import DatasetConfig, load_config
 from multilight.datagen.errors import UserError
 from multilight.datagen.production.library import open_library
 from multilight.datagen.production.scene import sample_scene
-from multilight.lights.photometry.radiometry import LUMINOUS_EFFICACY
 from multilight.lights.rigs.custom import custom_lights
 from multilight.lights.spec import AreaLight, EmissiveLight, EnvironmentLight, Light, PointLight, SpotLight, SunLight
 from multilight.scenes.assets.formats.ies import ies_text, profile_flux
 from multilight.scenes.assets.library import AssetError, AssetLibrary
+from multilight.scenes.colour import LUMINOUS_EFFICACY
 from multilight.scenes.geometry.contact import check_contacts
 from multilight.scenes.kinds.custom import background_bodies, find_places, sample_custom
 from multilight.scenes.poses import matrix4

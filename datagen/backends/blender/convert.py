@@ -14,11 +14,12 @@ import sys
 from pathlib import Path
 
 from multilight.scenes.assets.cache import file_digest
-from multilight.scenes.assets.environments import keep_map, read_environment
+from multilight.scenes.assets.environments import keep_map, read_environment, read_hdr
 from multilight.scenes.assets.formats.claims import check_model
 from multilight.scenes.assets.formats.scene_file import RECORD, FoundLight, Imported, Record, keep_picture, save_import
 from multilight.scenes.assets.info import AssetError
 from multilight.scenes.errors import MultilightError
+from multilight.scenes.files.limits import read_bytes
 
 MEMORY, SECONDS, FILE = 16 << 30, 600, 2 << 30
 """Bytes of address space, seconds of computing a file, and bytes of a file written, that a file may take."""
@@ -75,22 +76,17 @@ def _read(path: Path, folder: Path, work: Path) -> tuple[Imported, list[Path]]:
         from multilight.scenes.assets.formats.usd import read_usd
 
         return read_usd(path, lambda image: keep_picture(image, work), work)
-    files, notes = check_model(path, folder)
+    files, notes, generator = check_model(path, folder)
     from multilight.datagen.backends.blender.files import read_file
 
-    found, more = read_file(path, folder, lambda image: keep_picture(image, work), work)
+    found, more = read_file(path, folder, lambda image: keep_picture(image, work), work, generator)
     if not found.nodes and suffix in (".glb", ".gltf") and b"KHR_draco_mesh_compression" in path.read_bytes():
         raise AssetError(f"{path}: its Draco compression cannot be decoded; export it without")
     return Imported(found.nodes, found.lights, (*notes, *found.notes)), sorted({*files, *more})
 
 
 def _sky(path: Path, work: Path) -> Imported:
-    if path.suffix.lower() == ".exr":
-        image = read_environment(path)
-    else:
-        from multilight.datagen.backends.blender.worlds import read_radiance
-
-        image = read_radiance(path)
+    image = read_environment(path) if path.suffix.lower() == ".exr" else read_hdr(read_bytes(path), str(path))
     sky = FoundLight(
         kind="environment", name="sky", amount=(1, 1, 1), unit="W/(m2 sr)", map=keep_map(image, str(path), work)
     )

@@ -14,7 +14,6 @@ from mathutils import Matrix
 from multilight.datagen.backends.blender.bake import Shape, bake
 from multilight.datagen.backends.blender.surfaces import Finished, ShaderReader, tidy
 from multilight.datagen.backends.blender.worlds import read_world
-from multilight.lights.photometry.radiometry import photometric_from_watts
 from multilight.scenes.arrays import Float64, Int64
 from multilight.scenes.assets.formats.claims import check_triangles
 from multilight.scenes.assets.formats.cleaning import RawPart
@@ -29,6 +28,7 @@ from multilight.scenes.assets.formats.scene_file import (
     Note,
 )
 from multilight.scenes.assets.info import AssetError
+from multilight.scenes.colour import LUMINOUS_EFFICACY
 from multilight.scenes.files.inside import OutsideError, held
 from multilight.scenes.files.limits import MOST_NODES, LimitError
 from multilight.scenes.frozen import Rgb
@@ -56,20 +56,22 @@ _TRIES = 20_000
 """Files that are looked through for a picture that is not where a model says."""
 
 
-def read_file(path: Path, folder: Path, keep: KeepImage, work: Path) -> tuple[Imported, list[Path]]:
+def read_file(path: Path, folder: Path, keep: KeepImage, work: Path, generator: str) -> tuple[Imported, list[Path]]:
     """Read a file, which may refer to others in `folder`; returns those as well. Maps of skies go into `work`.
 
     Raises `AssetError` or `LimitError`.
     """
-    return _Reader(path, folder, keep, work).read()
+    return _Reader(path, folder, keep, work, generator).read()
 
 
 class _Reader:
     """Reads one file."""
 
-    def __init__(self, path: Path, folder: Path, keep: KeepImage, work: Path) -> None:
+    def __init__(self, path: Path, folder: Path, keep: KeepImage, work: Path, generator: str) -> None:
         self._path, self._folder, self._work, self._keep = path, folder, work, keep
         self._suffix = path.suffix.lower()
+        # Blender writes its own watts into glTF, times a constant for lights.
+        self._watts = self._suffix == ".blend" or "Blender" in generator
         self._notes: list[Note] = []
         self._used: set[Path] = set()
         self._beside: dict[str, Path] | None = None
@@ -241,7 +243,7 @@ class _Reader:
             return None
         # Other files say how strong it is above 1; at 1 and below they say the colour alone.
         unit = 1.0 if max(finished.emission) > 1 else EMISSION_NITS
-        unit = photometric_from_watts(1.0) if self._suffix == ".blend" else unit
+        unit = LUMINOUS_EFFICACY if self._watts else unit
         return Emission(amount=rgb_of(finished.emission, unit), texture=finished.emission_texture)
 
     def _light(self, name: str, light: Any, matrix: Matrix) -> Iterator[FoundLight]:
@@ -261,11 +263,14 @@ class _Reader:
         if getattr(light, "use_temperature", False):
             colour *= np.array(light.temperature_color)
         power = float(light.energy) * 2.0 ** float(getattr(light, "exposure", 0.0))
-        gltf = self._suffix in (".glb", ".gltf")
+        gltf = self._suffix in (".glb", ".gltf") and not self._watts
         efficacy = GLTF_EFFICACY if gltf else 1.0
         match light.type:
             case "POINT" | "SPOT":
-                about |= {"unit": "cd" if gltf else "W/sr", "radius": 0.0 if gltf else light.shadow_soft_size}
+                about |= {
+                    "unit": "cd" if gltf else "W/sr",
+                    "radius": light.shadow_soft_size if self._suffix == ".blend" else 0.0,
+                }
                 amount = rgb_of(colour, power * WATTS_TO_INTENSITY * efficacy)
                 if light.type == "POINT":
                     yield FoundLight(kind="point", amount=amount, **about)
@@ -278,7 +283,7 @@ class _Reader:
                     )
             case "SUN":
                 unit: Any = "lx" if gltf else "W/m2"
-                angle = 0.0 if gltf else light.angle
+                angle = light.angle if self._suffix == ".blend" else 0.0
                 yield FoundLight(kind="sun", unit=unit, amount=rgb_of(colour, power * efficacy), angle=angle, **about)
             case _:
                 round_one = light.shape in ("DISK", "ELLIPSE")

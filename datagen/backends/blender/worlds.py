@@ -55,11 +55,3 @@ def _pixels(image: Any, path_of: Callable[[Any], Path]) -> np.ndarray:
     if image.colorspace_settings.name == "sRGB" and not image.is_float:
         rows = srgb_decode(rows).astype(np.float32)
     return rows
-
-
-def read_radiance(path: Path) -> np.ndarray:
-    """Read a .hdr file, (H, W, 3) float32; raises `AssetError` where it is broken."""
-    try:
-        return _pixels(bpy.data.images.load(str(path)), lambda _: path)
-    except (RuntimeError, ValueError) as error:
-        raise AssetError(f"{path} is not a readable HDR file; save it as EXR") from error

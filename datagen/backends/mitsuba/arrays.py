@@ -52,7 +52,8 @@ class SceneArrays:
 
     vertices (V, 8) float32: position [m], shading normal, uv; faces (F, 4) uint32: three vertices and the surface's
     row; colors (V, 3) float32 multiply the base colour, None where no part has any; faces of a body lie together,
-    `spans` holds (first, count) by body. values (R,) of `VALUES` and links (R,) of `LINKS`: a row a surface. texels uint32 RGBA8, all textures end to end.
+    `spans` holds (first, count) by body. values (R,) of `VALUES` and links (R,) of `LINKS`: a row a surface. texels
+    uint32 RGBA8, all textures end to end.
     """
 
     vertices: Float32

@@ -53,18 +53,19 @@ LEFT_OUT = {
 Header = dict[str, Any]
 
 
-def check_model(path: Path, folder: Path) -> tuple[set[Path], list[Note]]:
+def check_model(path: Path, folder: Path) -> tuple[set[Path], list[Note], str]:
     """Check a GLB, glTF or OBJ file, and what it names inside `folder`, before it is loaded.
 
-    Returns the files that it names, and what of it is not read. Raises `AssetError` in one line with the file, what is
+    Returns the files that it names, what of it is not read, and the program that wrote it. Raises `AssetError` in one line with the file, what is
     too much in it or wrong, and the remedy.
     """
-    files, notes = set[Path](), list[Note]()
+    files, notes, generator = set[Path](), list[Note](), ""
     try:
         if path.suffix.lower() == ".obj":
             _check_obj(path, folder, files, notes)
         elif path.suffix.lower() in (".glb", ".gltf"):
             header, within = read_header(path)
+            generator = str(header.get("asset", {}).get("generator", ""))
             _check_extensions(header, notes)
             _check_counts(header)
             _check_tree(header)
@@ -79,7 +80,7 @@ def check_model(path: Path, folder: Path) -> tuple[set[Path], list[Note]]:
         raise AssetError(f"{path}: {error}") from error
     except Exception as error:  # whatever a broken header makes the above stumble over
         raise AssetError(f"{path} cannot be read ({type(error).__name__}: {error}); export it again") from error
-    return files, notes
+    return files, notes, generator
 
 
 def check_triangles(count: int) -> None:

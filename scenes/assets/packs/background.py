@@ -237,7 +237,7 @@ def _write_piece(node: Node, name: str, work: Path) -> tuple[Piece, list[FoundLi
             node=name,
             part=number,
             texture=e.texture and e.texture.model_copy(update={"image": f"{PACK}/{e.texture.image}"}),
-        )  # fmt: skip
+        )
         for number, e in enumerate(node.emissions[i] for i in kept)
         if e is not None
     ]

@@ -14,13 +14,21 @@ import numpy as np
 from pxr import UsdGeom, UsdLux
 
 from multilight.scenes.arrays import Float32, Float64
-from multilight.scenes.assets.environments import read_environment
+from multilight.scenes.assets.environments import read_environment, read_hdr
 from multilight.scenes.assets.formats.ies import parse_ies
 from multilight.scenes.assets.formats.scene_file import Emission, FoundLight
-from multilight.scenes.assets.formats.usd.materials import inputs_of, open_picture, read_resolved, resolved_file, rgb_of
+from multilight.scenes.assets.formats.usd.materials import (
+    by_blender,
+    inputs_of,
+    open_picture,
+    read_resolved,
+    resolved_file,
+    rgb_of,
+)
 from multilight.scenes.assets.formats.usd.names import PROFILE
 from multilight.scenes.assets.info import AssetError
-from multilight.scenes.colour import srgb_decode
+from multilight.scenes.colour import LUMINOUS_EFFICACY, srgb_decode
+from multilight.scenes.frozen import Rgb
 from multilight.scenes.poses import matrix4, pose_of
 
 
@@ -28,12 +36,12 @@ from multilight.scenes.poses import matrix4, pose_of
 class LightReader:
     """Reads the lights of the stage at `path`.
 
-    `keep_map` stores a dome's texture and returns its name; `note` takes what is not carried: place, feature, what
+    `keep_map` stores a dome's texture and returns its name, or none where it is one colour, which comes beside; `note` takes what is not carried: place, feature, what
     happens instead, remedy.
     """
 
     path: Path
-    keep_map: Callable[[Any, Any], str]
+    keep_map: Callable[[Any, Any], tuple[str | None, Rgb]]
     note: Callable[[Any, str, str, str], None] = lambda *_: None
 
     def glow(self, prim: Any) -> Emission:
@@ -90,7 +98,9 @@ class LightReader:
         if pole[2] < 0.999:
             raise AssetError(f"{self.path}: the dome light {prim.GetPath()} is tilted; rotate its pole upright")
         rotation = math.atan2(centre[1], centre[0])
-        return made("environment", level, "nit", map=self.keep_map(file, prim), rotation=rotation)
+        name, tint = self.keep_map(file, prim)
+        light: FoundLight = made("environment", level, "nit", map=name, rotation=rotation if name else 0.0)
+        return light.model_copy(update={"amount": rgb_of(np.array(light.amount) * tint)})
 
     def _sphere(self, made: Any, prim: Any, level: float, radius: float, normalized: bool) -> FoundLight:
         """Translate a sphere light: its intensity is its luminance times the disc one sees; a cone makes it a spot."""
@@ -129,14 +139,18 @@ def _level(prim: Any) -> tuple[float, Float64]:
     colour = np.array(value("color", (1.0, 1.0, 1.0)), np.float64)
     if value("enableColorTemperature", False):
         colour = colour * np.array(UsdLux.BlackbodyTemperatureAsRgb(float(value("colorTemperature", 6500.0))))
-    return level, colour
+    # Blender writes its own watts, those of a sun over four.
+    watts = LUMINOUS_EFFICACY * (4.0 if prim.IsA(UsdLux.DistantLight) else 1.0)
+    return level * (watts if by_blender(prim.GetStage()) else 1.0), colour
 
 
 def read_map(path: Path, file: Any, where: Any) -> Float32:
     """Read a dome's texture, (H, W, 3) linear; raises `AssetError` for formats that are not read."""
     if file.resolvedPath.lower().endswith(".exr") and "[" not in file.resolvedPath:
         return read_environment(Path(resolved_file(path, file, where)))
-    if file.path.lower().endswith((".hdr", ".tx")):
+    if file.path.lower().endswith(".hdr"):
+        return read_hdr(read_resolved(path, file, where), f"{path}: {file.path!r}")
+    if file.path.lower().endswith(".tx"):
         raise AssetError(f"{path}: {where} names {file.path!r}; convert it to EXR")
     pixels = np.asarray(open_picture(path, file, where).convert("RGB"), np.float32) / 255
     return srgb_decode(pixels).astype(np.float32)

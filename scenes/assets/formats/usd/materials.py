@@ -17,6 +17,7 @@ from multilight.scenes.assets.formats.pictures import as_eight_bit
 from multilight.scenes.assets.formats.scene_file import EMISSION_NITS, Emission
 from multilight.scenes.assets.formats.usd.names import BASE, IMAGE, NAME, NITS, OPACITY, OWN, TRANSMISSION
 from multilight.scenes.assets.info import AssetError
+from multilight.scenes.colour import LUMINOUS_EFFICACY
 from multilight.scenes.files import limits
 from multilight.scenes.files.inside import OutsideError, held
 from multilight.scenes.frozen import Rgb
@@ -74,6 +75,11 @@ def bound_surface(prim: Any) -> Any:
         if shader and shader.GetIdAttr().Get() in SURFACES:
             return shader
     return None
+
+
+def by_blender(stage: Any) -> bool:
+    """Tell whether Blender wrote a stage: its lights and emissions are in watts."""
+    return str(stage.GetRootLayer().documentation).startswith("Blender v")
 
 
 def inputs_of(owner: Any) -> Callable[[str, Any], Any]:
@@ -171,6 +177,8 @@ def _clearness(shader: Any, opacity: Any) -> tuple[float, float]:
 
 def _emission_nits(shader: Any) -> float:
     """Return the luminance [cd/m²] of an emissive colour of 1: stated by the project's own stages, else a guess."""
+    if by_blender(shader.GetPrim().GetStage()):
+        return LUMINOUS_EFFICACY
     said = shader.GetPrim().GetStage().GetRootLayer().customLayerData.get(OWN, {})
     return 1.0 if said.get("emissiveColor") == NITS else EMISSION_NITS
 

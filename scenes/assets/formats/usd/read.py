@@ -26,6 +26,7 @@ from multilight.scenes.assets.formats.usd.shapes import SHAPES, read_shape
 from multilight.scenes.assets.info import AssetError
 from multilight.scenes.files.inside import OutsideError, held
 from multilight.scenes.files.limits import MOST_NODES, LimitError, check_file
+from multilight.scenes.frozen import Rgb
 from multilight.scenes.poses import apply_pose, pose_of
 from multilight.scenes.spec import Material, Texture
 
@@ -187,10 +188,11 @@ class _Reader:
     def _kept(self, picture: Picture, mode: str) -> Texture:
         return self._keep(picture.image.convert(mode))
 
-    def _keep_map(self, file: Any, prim: Any) -> str:
-        return keep_map(
-            read_map(self._path, file, prim.GetPath()), f"{self._path}: its sky {file.path!r}", self._folder
-        )
+    def _keep_map(self, file: Any, prim: Any) -> tuple[str | None, Rgb]:
+        image = read_map(self._path, file, prim.GetPath())
+        if float(np.ptp(image, axis=(0, 1)).max()) == 0:
+            return None, rgb_of(image[0, 0])
+        return keep_map(image, f"{self._path}: its sky {file.path!r}", self._folder), (1.0, 1.0, 1.0)
 
 
 def _bindings(prim: Any, source: Int64) -> Iterator[tuple[Mask, Any]]:
