@@ -123,7 +123,7 @@ RIGHT: dict[str, Callable[[Read], Any]] = {
     "bg/c01_texture_transform12.glb": lambda r: tiled(only(r), only(r).material.base_color_texture) == [12, 12],
     "bg/c03_quantized.glb": lambda r: r.size == [3, 3, 0],
     "bg/c05_png16.glb": shows_ramp,
-    "bg/c08_light_zero_scale.glb": lambda r: r.lights["p"].amount == pytest.approx((100,) * 3) or "light 'p'" in r.notes,
+    "bg/c08_light_zero_scale.glb": lambda r: r.lights["p"].amount == pytest.approx((100,) * 3),
     "bg/c15_multi_primitive.glb": lambda r: [p.name for p in r.parts] == ["bg-tex", "bg-b", "bg-c"],
     "bg/c17_glass.glb": lambda r: [(p.material.transmission, p.material.ior) for p in r.parts] == [(0, 1.5), (1, 1.45)],
     "bg/c23_same_name_emission.glb": lambda r: [r.lights[n].amount[0] for n in ("bg_l1", "bg_l2")] == [1000, 10],
@@ -158,7 +158,7 @@ RIGHT: dict[str, Callable[[Read], Any]] = {
     "objs/b19_bump_pbr.obj": lambda r: material(roughness=0.2, metallic=1)(r) and only(r).material.normal_texture,
     "objs/b21_case_mismatch.obj": is_textured,
     "usd/u05_uvmap_name.usda": is_textured,
-    "usd/u07_transform2d_offset.usda": lambda r: np.allclose([only(r).uv.min(0), only(r).uv.max(0)], [[0.5] * 2, [1] * 2]),
+    "usd/u07_transform2d_offset.usda": lambda r: np.allclose([only(r).uv.min(0), only(r).uv.max(0)], [[0.5], [1]]),
     "usd/u09_cone_capsule_plane.usda": lambda r: {n: m.bounds()[1, 2] for n, m in r.meshes.items()}
     == pytest.approx({"bg_floor": 0, "bg_cap": 0.6, "bg_cone": 0.4}),
     "usd/u10_plane_prim_floor.usda": lambda r: r.size == [3, 3, 0],

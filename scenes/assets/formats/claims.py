@@ -56,8 +56,8 @@ Header = dict[str, Any]
 def check_model(path: Path, folder: Path) -> tuple[set[Path], list[Note], str]:
     """Check a GLB, glTF or OBJ file, and what it names inside `folder`, before it is loaded.
 
-    Returns the files that it names, what of it is not read, and the program that wrote it. Raises `AssetError` in one line with the file, what is
-    too much in it or wrong, and the remedy.
+    Returns the files that it names, what of it is not read, and the program that wrote it. Raises `AssetError` in one
+    line with the file, what is too much in it or wrong, and the remedy.
     """
     files, notes, generator = set[Path](), list[Note](), ""
     try:

@@ -83,7 +83,7 @@ class FolderPack(Pack):
         found: dict[str, dict[str, Path]] = {}
         for path, _ in _files(self._folder):
             kind = guesses.kind_of(path.stem) if path.suffix.lower() in _PICTURES else None
-            if kind is not None and not guesses.holds_models(path.parent, self._folder):
+            if kind is not None and not guesses.of_a_model(path, self._folder):
                 place = path.parent.relative_to(self._folder).parts
                 found.setdefault(guesses.named_id((*place[:-1], kind[0])), {}).setdefault(kind[1], path)
         return {name: pictures for name, pictures in found.items() if "base" in pictures}
@@ -304,7 +304,7 @@ def _scan(folder: Path) -> list[_Entry]:
     found = []
     for path, home in _files(folder):
         suffix = path.suffix.lower()
-        picture = guesses.kind_of(path.stem) or path.parent.name.lower() in ("textures", "maps")
+        picture = guesses.kind_of(path.stem) or path.parent.name.lower() in guesses.PICTURE_FOLDERS
         if suffix in SUFFIXES or (suffix in SKIES and not picture):
             found.append(_Entry(guesses.named_id(path.relative_to(folder).with_suffix("").parts), path, home))
     return sorted(found, key=lambda entry: (entry.name, str(entry.file)))

@@ -73,8 +73,10 @@ KINDS = {
     "displacement bump", "ao": "ao ambientocclusion occlusion arm orm",
 }  # fmt: skip
 """Suffixes of the pictures of a surface."""
+PICTURE_FOLDERS = frozenset("images maps materials tex texture textures".split())
+"""Folders that hold the pictures of what lies beside them."""
 _LICENCES = (
-    ("CC0-1.0", r"CC0|CC-0|publicdomain/zero|public domain"), ("CC-BY-NC-4.0", r"CC[- ]BY[- ]NC|attribution-noncommerc"),
+    ("CC0-1.0", r"CC0|CC-0|publicdomain/zero|public domain"), ("CC-BY-NC-4.0", r"CC[- ]BY[- ]NC|attribution-noncomm"),
     ("CC-BY-SA-4.0", r"CC[- ]BY[- ]SA|attribution-sharealike"), ("CC-BY-4.0", r"CC[- ]BY|licenses/by/|creative commons "
     r"attribution"), ("MIT", r"\bMIT\b"), ("Apache-2.0", r"apache"),
 )  # fmt: skip
@@ -142,10 +144,12 @@ def licence_beside(file: Path, folder: Path) -> str | None:
     return None
 
 
-def holds_models(place: Path, folder: Path) -> bool:
-    """Tell whether a folder, or one above it within `folder`, holds models: its pictures are theirs."""
-    above = [p for p in (place, *place.parents) if p.is_relative_to(folder)]
-    return any(child.suffix.lower() in SUFFIXES for p in above for child in p.iterdir())
+def of_a_model(picture: Path, folder: Path) -> bool:
+    """Tell whether a picture is a model's: it lies beside one, or below one in a folder for pictures."""
+    place = picture.parent
+    while place.name.lower() in PICTURE_FOLDERS and place != folder:
+        place = place.parent
+    return any(child.suffix.lower() in SUFFIXES for child in place.iterdir())
 
 
 def _first(text: str, table: dict[str, str]) -> str | None:

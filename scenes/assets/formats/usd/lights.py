@@ -36,8 +36,8 @@ from multilight.scenes.poses import matrix4, pose_of
 class LightReader:
     """Reads the lights of the stage at `path`.
 
-    `keep_map` stores a dome's texture and returns its name, or none where it is one colour, which comes beside; `note` takes what is not carried: place, feature, what
-    happens instead, remedy.
+    `keep_map` stores a dome's texture and returns its name, or none where it is of one colour, which comes beside;
+    `note` takes what is not carried: place, feature, what happens instead, remedy.
     """
 
     path: Path
@@ -137,8 +137,10 @@ def _level(prim: Any) -> tuple[float, Float64]:
     value = inputs_of(UsdLux.LightAPI(prim))
     level = float(value("intensity", 1.0)) * 2.0 ** float(value("exposure", 0.0))
     colour = np.array(value("color", (1.0, 1.0, 1.0)), np.float64)
-    if value("enableColorTemperature", False):
-        colour = colour * np.array(UsdLux.BlackbodyTemperatureAsRgb(float(value("colorTemperature", 6500.0))))
+    kelvin = float(value("colorTemperature", 6500.0))
+    white = kelvin == 6500.0 and by_blender(prim.GetStage())  # which has it on where it means white
+    if value("enableColorTemperature", False) and not white:
+        colour = colour * np.array(UsdLux.BlackbodyTemperatureAsRgb(kelvin))
     # Blender writes its own watts, those of a sun over four.
     watts = LUMINOUS_EFFICACY * (4.0 if prim.IsA(UsdLux.DistantLight) else 1.0)
     return level * (watts if by_blender(prim.GetStage()) else 1.0), colour
