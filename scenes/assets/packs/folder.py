@@ -100,7 +100,7 @@ class FolderPack(Pack):
                 pack=self.name,
                 role="texture",
                 name=name,
-                category=guesses.surface_of(name),
+                category=guesses.surface_of(pictures["base"].stem),
                 licence=guesses.licence_beside(pictures["base"], self._folder) or "unknown",
                 creator=self.name,
                 size=(1.0, 1.0, 0.0),

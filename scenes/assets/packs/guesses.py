@@ -84,7 +84,7 @@ _LICENCES = (
 
 def words_of(text: str) -> list[str]:
     """Split a name into lower-case words of any script."""
-    parted = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", unicodedata.normalize("NFC", text))
+    parted = re.sub(r"(?<=[a-z])(?=[A-Z0-9])", " ", unicodedata.normalize("NFC", text))
     return re.findall(r"[^\W_]+", parted.lower())
 
 
@@ -110,7 +110,7 @@ def role_of(category: str | None, size: tuple[float, float, float] | None) -> As
 
 def place_of(text: str) -> tuple[str, str]:
     """Guess the category of a sky from its name, and name its place: without what says how large its file is."""
-    words = [word for word in words_of(text) if not re.fullmatch(r"\d+k|hdri?|exr|hdris", word)]
+    words = [word for word in re.findall(r"[^\W_]+", text.lower()) if not re.fullmatch(r"\d+k|hdris?|hdr|exr", word)]
     return _first(text, _PLACES) or "outdoor", "_".join(words)
 
 
