@@ -43,8 +43,8 @@ class Materials:
         red, green, blue = (value * dim for value in material.base_color)
         network.colour("diffuseColor", (red, green, blue), material.base_color_texture)
         network.number("roughness", material.roughness, material.roughness_texture)
+        network.number("metallic", material.metallic, material.metallic_texture)
         for name, value in (
-            ("metallic", material.metallic),
             ("ior", material.ior),
             ("clearcoat", material.coat),
             ("clearcoatRoughness", material.coat_roughness),
@@ -83,6 +83,8 @@ def _clear(network: "_Network", prim: Any, material: Material) -> None:
         red, green, blue, _ = scale.Get()
         scale.Set(Gf.Vec4f(red, green, blue, material.opacity))
         network.connect("opacity", _TYPES.Float, node, "a", _TYPES.Float)
+        if material.alpha_cutoff:
+            surface.CreateInput("opacityThreshold", _TYPES.Float).Set(material.alpha_cutoff)
     else:
         surface.CreateInput("opacity", _TYPES.Float).Set(material.opacity * _opaque_fraction(material))
     if material.transmission > 0:
@@ -133,7 +135,7 @@ class _Network:
         node.CreateInput("file", _TYPES.Asset).Set(self._files.texture(texture.image))
         node.CreateInput("sourceColorSpace", _TYPES.Token).Set(colour_space)
         for axis in ("wrapS", "wrapT"):
-            node.CreateInput(axis, _TYPES.Token).Set("repeat")
+            node.CreateInput(axis, _TYPES.Token).Set(texture.wrap)
         node.GetPrim().CreateAttribute(IMAGE, _TYPES.String, custom=True).Set(texture.image)
         placed = UsdShade.Shader.Define(self._stage, f"{self._path}/{name}_place")
         placed.CreateIdAttr("UsdTransform2d")

@@ -189,7 +189,9 @@ def test_textures_outside_of_the_packs_folder_are_refused(tmp_path: Path, textur
         FolderPack(tmp_path / "pack", tmp_path / "cache").mesh("box")
 
 
-@pytest.mark.parametrize("uri", ["../secret.bin", "%2e%2e/secret.bin", "/etc/hostname", "link/secret.bin"])
+@pytest.mark.parametrize(
+    "uri", ["../secret.bin", "%2e%2e/secret.bin", "/etc/hostname", "link/secret.bin", "http://a.b/c.bin"]
+)
 def test_gltf_buffers_outside_of_the_folder_are_refused(tmp_path: Path, uri: str) -> None:
     folder = tmp_path / "pack"
     folder.mkdir()
