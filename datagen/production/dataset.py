@@ -6,6 +6,7 @@ import importlib.metadata
 import multiprocessing
 import os
 import shutil
+import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -27,7 +28,7 @@ from multilight.datagen.production.worker import WorkerSetup, log_path, run_scen
 from multilight.datagen.storage.records import GHOSTS, DatasetRecord, ImportAccount
 from multilight.datagen.storage.store import COPIES, read_dataset, read_scene, scene_dir, scene_indices, write_text
 from multilight.datagen.verification.dataset import ANEW
-from multilight.scenes.assets.cache import file_digest
+from multilight.scenes.assets.cache import check_cache, file_digest
 from multilight.scenes.assets.check import MODELS
 from multilight.scenes.assets.info import AssetRole
 from multilight.scenes.assets.library import AssetError, AssetLibrary
@@ -92,6 +93,8 @@ def make_dataset(plan: Plan, report: Report) -> Outcome:
     renderer = resolve_renderer(plan.config.renderer)
     _check_kind(plan.config, renderer)
     plan = replace(plan, config=located(plan.config, plan.root))
+    if renderer != "analytic":
+        check_cache()
     library = check_library(plan.config, plan.asset_folders)
     with locked(plan.root), full_disk_told(plan.root):
         record = _open_record(plan, renderer)
@@ -280,6 +283,13 @@ def _collect(plan: Plan, futures: dict[ProcessFuture, int], watch: _Watch) -> di
     return failures
 
 
+def _ended(code: int) -> str:
+    """Say how a process ended; native libraries crash in many ways where memory is refused."""
+    if code >= 0:
+        return f"died with exit code {code}"
+    return f"was ended by {signal.Signals(-code).name}, most often for want of memory: use fewer --workers"
+
+
 def _failure(plan: Plan, index: int, future: ProcessFuture, watch: _Watch) -> str | None:
     """Return why a scene was not made, or None; what stops every scene (a full disk) is raised."""
     where = f"seed {plan.config.seed}, log {log_path(plan.root, index)}"
@@ -291,7 +301,7 @@ def _failure(plan: Plan, index: int, future: ProcessFuture, watch: _Watch) -> st
     except FutureTimeout:
         return f"took longer than {_timeout(plan.config):.0f} s and was stopped ({where})"
     except ProcessExpired as error:
-        return f"the worker died with exit code {error.exitcode} ({where})"
+        return f"the worker {_ended(error.exitcode)} ({where})"
     except RunStoppedError:
         raise
     except UserError as error:

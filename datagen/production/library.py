@@ -58,7 +58,7 @@ def _check_enough(config: DatasetConfig, library: AssetLibrary, folders: tuple[P
     kinds = {config.kind, *config.ood_kinds, *mixed}
     needs = {"object": config.objects[1], "table": int(bool(kinds & {*TABLES})), "surrounding": int("room" in kinds)}
     where = ", ".join(map(str, folders)) or "any folder"
-    for split, share in config.splits.model_dump().items():
+    for split, share in config.splits.weights().items():
         for role in ("object", "table", "surrounding") if share else ():
             found = sum(info.as_made for info in library.restricted(split).list(role))
             if found < needs[role]:
@@ -66,6 +66,14 @@ def _check_enough(config: DatasetConfig, library: AssetLibrary, folders: tuple[P
                     f"scenes of the split {split!r} need {needs[role]} {role}(s) or more, and {where} has {found}; "
                     f"add some, set fewer `objects`, splits.{split} = 0 or the role in assets.csv, or use --assets"
                 )
+
+
+def open_library_again(record: DatasetRecord, root: Path, own: tuple[Path, ...]) -> AssetLibrary:
+    """Open the assets of a dataset in `root` that is there, perhaps moved here: `own` may hold its background too."""
+    config = located(record.config, root)
+    for file in (path for path in own if path.is_file() and same_background(record, path)):
+        config, own = config.model_copy(update={"background": file}), tuple(path for path in own if path != file)
+    return open_library(config, own)
 
 
 def same_background(record: DatasetRecord, background: Path | None) -> bool:

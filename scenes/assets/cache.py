@@ -34,6 +34,17 @@ def default_cache() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "multilight"
 
 
+def check_cache() -> None:
+    """Raise `AssetError` where the cache cannot be written to."""
+    folder = default_cache()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with write_whole(folder / ".written") as work:
+            work.write_bytes(b"")
+    except OSError as error:
+        raise AssetError(f"the cache {folder} cannot be written: {error.strerror}; set MULTILIGHT_CACHE") from error
+
+
 def write_once(path: Path, write: Callable[[Path], None]) -> Path:
     """Make `path`, whole or not at all; does nothing where it is there already.
 

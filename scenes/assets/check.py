@@ -15,7 +15,7 @@ from multilight.scenes.spec import Material, Texture
 LARGEST = {"object": 3.0, "table": 6.0, "surrounding": 100.0}
 """Longest side [m] of what may pass for a model of each role."""
 MOST_FACES = 400_000
-MODELS = ("object", "table", "surrounding")
+MODELS: tuple[AssetRole, ...] = ("object", "table", "surrounding")
 
 
 def check_assets(library: AssetLibrary, pack: str | None = None) -> list[tuple[str, str]]:

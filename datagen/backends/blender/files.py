@@ -48,6 +48,7 @@ IMPORTERS: dict[str, Any] = {
 }
 IMPORTERS[".gltf"] = IMPORTERS[".glb"]
 SHAPES = ("MESH", "CURVE", "SURFACE", "META", "FONT")
+LEFT_OUT = ("VOLUME", "POINTCLOUD", "CURVES", "GPENCIL", "GREASEPENCIL")
 COLOURED = (".glb", ".gltf", ".obj", ".ply", ".fbx")
 """Formats whose vertex colours count whatever the material says."""
 _GIVEN = (".blend", ".glb", ".gltf", ".fbx")
@@ -56,22 +57,24 @@ _TRIES = 20_000
 """Files that are looked through for a picture that is not where a model says."""
 
 
-def read_file(path: Path, folder: Path, keep: KeepImage, work: Path, generator: str) -> tuple[Imported, list[Path]]:
+def read_file(path: Path, folder: Path, keep: KeepImage, work: Path, said: str) -> tuple[Imported, list[Path]]:
     """Read a file, which may refer to others in `folder`; returns those as well. Maps of skies go into `work`.
 
     Raises `AssetError` or `LimitError`.
     """
-    return _Reader(path, folder, keep, work, generator).read()
+    return _Reader(path, folder, keep, work, said).read()
 
 
 class _Reader:
     """Reads one file."""
 
-    def __init__(self, path: Path, folder: Path, keep: KeepImage, work: Path, generator: str) -> None:
+    def __init__(self, path: Path, folder: Path, keep: KeepImage, work: Path, said: str) -> None:
         self._path, self._folder, self._work, self._keep = path, folder, work, keep
         self._suffix = path.suffix.lower()
         # Blender writes its own watts into glTF, times a constant for lights.
-        self._watts = self._suffix == ".blend" or "Blender" in generator
+        stated = {"Kd": "Base Color", "Pr": "Roughness", "Pm": "Metallic"} if self._suffix == ".obj" else {}
+        self._times_plain = {name for key, name in stated.items() if key in said.split()}
+        self._watts = self._suffix == ".blend" or "Blender" in said
         self._notes: list[Note] = []
         self._used: set[Path] = set()
         self._beside: dict[str, Path] | None = None
@@ -80,9 +83,10 @@ class _Reader:
         self._load()
         self._check_libraries()
         scene = bpy.context.scene
-        self._shaders = ShaderReader(self._keep, self._path_of, self._notes, kd=self._suffix == ".obj")
+        self._shaders = ShaderReader(self._keep, self._path_of, self._notes, self._times_plain)
         _show_what_is_rendered(scene)
-        nodes, lights, triangles = [], [], 0
+        lights: list[FoundLight] = []
+        triangles = 0
         shapes = []
         for number, instance in enumerate(bpy.context.evaluated_depsgraph_get().object_instances):
             if number > MOST_NODES:
@@ -92,11 +96,15 @@ class _Reader:
                 lights += self._light(placed.original.name, placed.data, instance.matrix_world.copy())
             elif placed.type in SHAPES and abs(np.linalg.det(matrix[:3, :3])) > 1e-18:
                 mesh = placed.data if instance.is_instance else placed.to_mesh()
-                if hasattr(mesh, "loop_triangles"):
+                if hasattr(mesh, "loop_triangles"):  # an empty text has none
                     mesh.calc_loop_triangles()
                     triangles += len(mesh.loop_triangles)
                     check_triangles(triangles)
                     shapes.append(self._shape(placed, mesh, matrix))
+            elif placed.type in LEFT_OUT:
+                what = f"a {placed.type.lower()}"
+                note = Note(place=placed.original.name, feature=what, instead="it is left out", remedy="make it a mesh")
+                self._notes.append(note)
         nodes = [self._node(shape) for shape in shapes if len(shape.points)]
         if scene.world is not None and self._suffix in (".blend",):
             lights += read_world(scene.world, self._path_of, self._work)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from multilight.datagen.backends.blender.trees import Feed, Groups, UnreadError, feed_of, origin, product
+from multilight.datagen.backends.blender.trees import Feed, Groups, UnreadError, feed_of, origin, product, triple
 from multilight.scenes.arrays import Float32
 from multilight.scenes.assets.derived_maps import slopes_to_normals
 from multilight.scenes.assets.formats.coordinates import MESH, Place, common
@@ -60,10 +60,12 @@ class Finished:
 
 
 class ShaderReader:
-    """Reads materials of one file; `note` takes (place, feature, instead, remedy)."""
+    """Reads materials of one file; pictures of the inputs `times_plain` are multiplied with the plain value as well."""
 
-    def __init__(self, keep: KeepImage, path_of: Callable[[Any], Path], notes: list[Note], *, kd: bool) -> None:
-        self._keep, self._path_of, self._notes, self._kd = keep, path_of, notes, kd
+    def __init__(
+        self, keep: KeepImage, path_of: Callable[[Any], Path], notes: list[Note], times_plain: set[str]
+    ) -> None:
+        self._keep, self._path_of, self._notes, self._times_plain = keep, path_of, notes, times_plain
         self._pictures: dict[str, tuple[Image.Image, bool]] = {}
         self._read: dict[tuple[str, str], Finished] = {}
 
@@ -183,11 +185,11 @@ class ShaderReader:
         glow = self._times(self._feed(node, "Emission Color", groups, colour=True), strength)
         base = self._feed(node, "Base Color", groups, colour=True)
         rough, metal = self._feed(node, "Roughness", groups), self._feed(node, "Metallic", groups)
-        if self._kd:  # a picture of an MTL file is multiplied with the plain value, which the importer leaves beside it
-            base, rough, metal = (
-                feed if feed.plain else replace(feed, factor=tuple(_three(node.inputs[name].default_value)))
-                for feed, name in ((base, "Base Color"), (rough, "Roughness"), (metal, "Metallic"))
-            )
+        base, rough, metal = (
+            # A picture of an MTL file is multiplied with the plain value, which the importer leaves beside it.
+            replace(feed, factor=triple(node.inputs[name].default_value)) if name in self._times_plain else feed
+            for feed, name in ((base, "Base Color"), (rough, "Roughness"), (metal, "Metallic"))
+        )
         surface = Surface(
             base, rough, metal, self._feed(node, "Alpha", groups), glow,
             plain={
@@ -293,6 +295,8 @@ class ShaderReader:
         if picture is None:
             picture = Image.new("RGB", mask.size, "white")
         elif base.image != alpha.image:
+            if base.place != alpha.place:
+                self.note("its opacity lies in another way", "it lies as its colour does", "bake one layout")
             mask = mask.resize(picture.size, Image.Resampling.BILINEAR)
         picture = picture.convert("RGB")
         picture.putalpha(mask)
@@ -301,7 +305,10 @@ class ShaderReader:
     def _texture(self, picture: Image.Image | None, feed: Feed, at: Place) -> Texture | None:
         if picture is None:
             return None
-        repeat = feed.place.within(at) or (1.0, 1.0)
+        repeat = feed.place.within(at)
+        if repeat is None:
+            self.note("one of its pictures lies in another way", "it lies as the others do", "bake one layout")
+            repeat = (1.0, 1.0)
         return self._keep(picture).model_copy(update={"repeat": repeat, "wrap": feed.place.wrap})
 
     def _number_texture(self, feed: Feed, at: Place) -> Texture | None:
@@ -380,10 +387,6 @@ class ShaderReader:
                 image.colorspace_settings.name = "sRGB"
                 rows = np.concatenate([srgb_encode(np.clip(rows[..., :3], 0, 1)), rows[..., 3:]], axis=-1)
         return Image.fromarray(np.round(np.clip(rows, 0, 1) * 255).astype(np.uint8), "RGBA")
-
-
-def _three(value: Any) -> list[float]:
-    return [float(v) for v in list(value)[:3]] if hasattr(value, "__len__") else [float(value)] * 3
 
 
 def tidy(colour: Any) -> Rgb:

@@ -76,11 +76,11 @@ def feed_of(socket: Any, groups: Groups = ()) -> Feed:
     """Return what feeds an input; raises `UnreadError` naming the node in the way."""
     found = origin(socket, groups)
     if found is None:
-        return Feed(_triple(_unlinked(socket, groups)))
+        return Feed(triple(_unlinked(socket, groups)))
     node, output, groups = found
     match node.type:
         case "RGB" | "VALUE":
-            return Feed(_triple(output.default_value))
+            return Feed(triple(output.default_value))
         case "TEX_IMAGE" if node.image is not None and node.image.source in ("FILE", "GENERATED"):
             layer, affine = _place(node.inputs["Vector"], groups)
             channel = "A" if output.name == "Alpha" else "RGB"
@@ -115,7 +115,8 @@ def _unlinked(socket: Any, groups: Groups) -> Any:
     return socket.default_value
 
 
-def _triple(value: Any) -> Triple:
+def triple(value: Any) -> Triple:
+    """Return a colour, or a number three times."""
     numbers = [float(v) for v in value] if hasattr(value, "__len__") else [float(value)] * 3
     return numbers[0], numbers[1], numbers[2]
 
@@ -131,7 +132,7 @@ def product(a: Feed, b: Feed) -> Feed:
     if a.cutoff or b.cutoff or (a.image is not None and b.image is not None) or (a.colors and b.colors):
         raise UnreadError("a product of pictures")
     with_image = a if a.image is not None else b
-    factor = tuple(x * y for x, y in zip(a.factor, b.factor, strict=True))
+    factor = triple([x * y for x, y in zip(a.factor, b.factor, strict=True)])
     return replace(with_image, factor=factor, colors=a.colors or b.colors)
 
 

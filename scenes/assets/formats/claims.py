@@ -56,13 +56,13 @@ Header = dict[str, Any]
 def check_model(path: Path, folder: Path) -> tuple[set[Path], list[Note], str]:
     """Check a GLB, glTF or OBJ file, and what it names inside `folder`, before it is loaded.
 
-    Returns the files that it names, what of it is not read, and the program that wrote it. Raises `AssetError` in one
-    line with the file, what is too much in it or wrong, and the remedy.
+    Returns the files that it names, what of it is not read, and what wrote it (of OBJ: its MTL's key words). Raises
+    `AssetError` in one line with the file, what is too much in it or wrong, and the remedy.
     """
     files, notes, generator = set[Path](), list[Note](), ""
     try:
         if path.suffix.lower() == ".obj":
-            _check_obj(path, folder, files, notes)
+            generator = _check_obj(path, folder, files, notes)
         elif path.suffix.lower() in (".glb", ".gltf"):
             header, within = read_header(path)
             generator = str(header.get("asset", {}).get("generator", ""))
@@ -212,18 +212,24 @@ def _check_picture(path: Path, picture: Path | BinaryIO, name: str) -> None:
         raise AssetError(f"{path}: its texture {name!r} cannot be read ({reason}); save it as PNG") from error
 
 
-def _check_obj(path: Path, folder: Path, files: set[Path], notes: list[Note]) -> None:
-    """Refuse pictures of an OBJ file's materials that cannot be opened, or lie elsewhere; name a missing library."""
+def _check_obj(path: Path, folder: Path, files: set[Path], notes: list[Note]) -> str:
+    """Refuse pictures of an OBJ file's materials that cannot be opened, or lie elsewhere; name a missing library.
+
+    Returns the key words of its materials.
+    """
+    words = set[bytes]()
     for library in _files("mtllib", path, path, folder):
         files.add(library)
         if not other_case(library).exists():
             what = "its materials are plain and matte"
             notes.append(Note(place=library.name, feature="it is missing", instead=what, remedy="put it beside it"))
             continue
+        words |= set(re.findall(rb"^[ \t]*(\w+)", read_bytes(other_case(library), MOST_JSON), re.MULTILINE))
         for picture in _files("(?:map_|norm|bump|disp|refl)[a-z]*", other_case(library), path, folder):
             files.add(picture)
             if picture.exists():
                 _check_picture(path, picture, picture.name)
+    return b" ".join(sorted(words)).decode("ascii", "replace")
 
 
 def other_case(file: Path) -> Path:

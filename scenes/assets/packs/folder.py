@@ -56,7 +56,7 @@ class FolderPack(Pack):
     def __init__(self, folder: Path, cache: Path) -> None:
         self._only = folder.resolve() if folder.is_file() and folder.suffix.lower() in (*SUFFIXES, *SKIES) else None
         if not folder.is_dir() and self._only is None:
-            raise AssetError(f"{folder} is neither a folder nor one of {', '.join((*SUFFIXES, *SKIES))}")
+            raise AssetError(f"{folder} is not a folder, nor a file of {', '.join((*SUFFIXES, *SKIES))}")
         self._folder, self._cache = folder.resolve() if self._only is None else self._only.parent, cache
         self.name = self._folder.name if self._only is None else self._only.stem
         self._intake = Intake(cache)

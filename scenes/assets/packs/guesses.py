@@ -73,7 +73,7 @@ KINDS = {
     "displacement bump", "ao": "ao ambientocclusion occlusion arm orm",
 }  # fmt: skip
 """Suffixes of the pictures of a surface."""
-PICTURE_FOLDERS = frozenset("images maps materials tex texture textures".split())
+PICTURE_FOLDERS = frozenset(["images", "maps", "materials", "tex", "texture", "textures"])
 """Folders that hold the pictures of what lies beside them."""
 _LICENCES = (
     ("CC0-1.0", r"CC0|CC-0|publicdomain/zero|public domain"), ("CC-BY-NC-4.0", r"CC[- ]BY[- ]NC|attribution-noncomm"),

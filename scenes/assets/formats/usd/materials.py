@@ -124,11 +124,11 @@ def read_material(path: Path, shader: Any, texture_of: TextureOf, *, has_uv: boo
     texture = partial(_texture, texture_of=texture_of, at=at)
     colour, clear = found.get("diffuseColor"), found.get("opacity")
     cut_out = colour is not None and clear is not None and clear.file == colour.file
-    if clear is not None and not cut_out:  # of another picture: its mean
-        value_of = np.asarray(clear.image.convert("L"), np.float64).mean() / 255
-        opacity, transmission = _clearness(shader, clear.scale[0] * value_of)
-    else:
-        opacity, transmission = _clearness(shader, clear.scale[3] if cut_out else _first(value("opacity", 1.0)))
+    stop = _first(value("opacity", 1.0))
+    if clear is not None:  # of another picture: its mean
+        mean = float(np.asarray(clear.image.convert("L"), np.float64).mean()) / 255
+        stop = clear.scale[3] if cut_out else clear.scale[0] * mean
+    opacity, transmission = _clearness(shader, stop)
     own_name, own_base = (shader.GetPrim().GetParent().GetAttribute(name).Get() for name in (NAME, BASE))
     dim = _share(stated("base_weight", stated("base", 1.0))) if names else 1.0
     base = _level(colour, value("diffuseColor", (0.18, 0.18, 0.18))) if own_base is None else rgb_of(own_base)
@@ -202,7 +202,7 @@ def _picture(path: Path, shader: Any, name: str) -> Picture | None:
     """Open the picture that feeds an input; None where none does."""
     given = shader.GetInput(name)
     source: Any = given.GetConnectedSource() if given else None
-    node = UsdShade.Shader(source[0].GetPrim()) if source else None
+    node: Any = UsdShade.Shader(source[0].GetPrim()) if source else None
     kind = str(node.GetIdAttr().Get()) if node else ""
     if kind == "ND_normalmap":
         return _picture(path, node, "in")
@@ -226,7 +226,7 @@ def _place(node: Any) -> Place:
     if node.GetIdAttr().Get().startswith("ND_tiledimage_"):
         affine = np.diag([*value("uvtiling", (1.0, 1.0)), 1.0]).astype(np.float64)
         affine[:2, 2] = value("uvoffset", (0.0, 0.0))
-    feeds = ("st", "texcoord")
+    feeds: tuple[str, ...] = ("st", "texcoord")
     while feed := next(
         (i.GetConnectedSource() for n in feeds if (i := node.GetInput(n)) and i.HasConnectedSource()), None
     ):

@@ -102,7 +102,8 @@ class _Reader:
         self._notes: list[Note] = []
 
     def read(self) -> Imported:
-        nodes, lights = [], []
+        nodes: list[Node | None] = []
+        lights = []
         prims = iter(Usd.PrimRange(self._stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()))
         for number, prim in enumerate(prims):
             if number > MOST_NODES:
