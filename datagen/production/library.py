@@ -85,5 +85,6 @@ def located(config: DatasetConfig, root: Path) -> DatasetConfig:
     """Return a configuration whose background is found beside the dataset where it is not where it was."""
     if config.background is None or config.background.exists():
         return config
-    there = root.resolve().parent / config.background.name
-    return config.model_copy(update={"background": there}) if there.exists() else config
+    beside = root.resolve().parent
+    there = [path for path in (beside / config.background, beside / config.background.name) if path.exists()]
+    return config.model_copy(update={"background": there[0]}) if there else config

@@ -20,7 +20,8 @@ def export_usd(
 
     A scene's folder appears only when its stage is whole and passes USD's validators; folders that are there, and
     undamaged, are kept.
-    `assets` are the folders of models that the dataset was made with, and its background where that has moved. Raises `UserError` naming what is wrong.
+    `assets` are the folders of models that the dataset was made with, and its background where that has moved. Raises
+    `UserError` naming what is wrong.
     """
     if scene is not None and scene not in source.indices:
         raise UserError(f"--scene {scene} is not in {source.address}; it has {len(source.indices)} scene(s)")

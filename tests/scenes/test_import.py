@@ -47,12 +47,12 @@ class Read:
             assert self.library.background is not None
             names = [piece.name for piece in self.library.background.pieces]
         else:
-            entries = self.library._packs[self.pack]._entries
+            entries = self.library._packs[self.pack]._entries  # type: ignore[attr-defined]
             names = [name for name, entry in entries.items() if self._file in (entry.file, *entry.file.parents)]
         self.meshes = {name: self.library.mesh(f"{self.pack}/{name}") for name in names}
         self.parts = [part for mesh in self.meshes.values() for part in mesh.parts]
         self.notes = "\n".join(str(note) for name in names for note in self.library._packs[self.pack].notes(name))
-        self.lights = {} if not background else {light.name: light for light in self.library.background.lights}  # type: ignore[union-attr]
+        self.lights = {} if not background else {light.name: light for light in self.library.background.lights}
 
     @property
     def size(self) -> list[float]:
@@ -254,3 +254,12 @@ def test_what_ends_the_converter_is_named_and_the_rest_goes_on(tmp_path: Path, m
     problems = dict(check_assets(library))
     assert [asset.rpartition("/")[2] for asset in problems] == ["b"]
     assert "b.glb cannot be read: it ends Blender (SIGABRT)" in next(iter(problems.values()))
+
+
+def test_an_mtl_of_other_case_is_taken(tmp_path: Path) -> None:
+    for name in ("b00_base.obj", "tex.png"):
+        shutil.copy(CASES / "objs" / name, tmp_path)
+    shutil.copy(CASES / "objs" / "b00_base.mtl", tmp_path / "B00_Base.MTL")
+    found = Intake(tmp_path / "cache").read(tmp_path / "b00_base.obj", tmp_path)
+    assert found.nodes[0].parts[0].material.base_color_texture is not None
+    assert [note.instead for note in found.notes] == ["B00_Base.MTL is taken"]

@@ -15,7 +15,7 @@ from multilight.datagen.backends.blender.bake import Shape, bake
 from multilight.datagen.backends.blender.surfaces import Finished, ShaderReader, tidy
 from multilight.datagen.backends.blender.worlds import read_world
 from multilight.scenes.arrays import Float64, Int64
-from multilight.scenes.assets.formats.claims import check_triangles
+from multilight.scenes.assets.formats.claims import check_triangles, files_behind, other_case
 from multilight.scenes.assets.formats.cleaning import RawPart
 from multilight.scenes.assets.formats.coordinates import laid
 from multilight.scenes.assets.formats.scene_file import (
@@ -70,7 +70,7 @@ class _Reader:
 
     def __init__(self, path: Path, folder: Path, keep: KeepImage, work: Path, said: str) -> None:
         self._path, self._folder, self._work, self._keep = path, folder, work, keep
-        self._suffix = path.suffix.lower()
+        self._suffix, self._stage = path.suffix.lower(), work / "stage"
         # Blender writes its own watts into glTF, times a constant for lights.
         stated = {"Kd": "Base Color", "Pr": "Roughness", "Pm": "Metallic"} if self._suffix == ".obj" else {}
         self._times_plain = {name for key, name in stated.items() if key in said.split()}
@@ -120,17 +120,33 @@ class _Reader:
                 bpy.ops.wm.open_mainfile(filepath=str(self._path), load_ui=False, use_scripts=False)
             else:
                 module, name, options = IMPORTERS[self._suffix]
-                getattr(getattr(bpy.ops, module), name)(filepath=str(self._path), **options)
+                getattr(getattr(bpy.ops, module), name)(filepath=str(self._staged()), **options)
         except RuntimeError as error:
             said = [line.strip() for line in str(error).splitlines() if line.strip()] or ["no reason given"]
             reason = said[-1].removeprefix("Error: ")
             raise AssetError(f"{self._path} cannot be read ({reason}); export it again") from None
 
+    def _staged(self) -> Path:
+        """Return the file; an OBJ whose MTL has a name of other case, beside links of the right names."""
+        if self._suffix != ".obj":
+            return self._path
+        named = files_behind("mtllib", self._path, self._path, self._folder)
+        other = {file.name: other_case(file) for file in named if not file.exists() and other_case(file).exists()}
+        if not other:
+            return self._path
+        self._stage.mkdir()
+        for name, file in ({child.name: child for child in self._path.parent.iterdir()} | other).items():
+            (self._stage / name).symlink_to(file.resolve())
+        return self._stage / self._path.name
+
+    def _unstaged(self, path: Path) -> Path:
+        return self._path.parent / path.relative_to(self._stage) if path.is_relative_to(self._stage) else path
+
     def _check_libraries(self) -> None:
         """Refuse what lies outside of the folder, pictures, caches or libraries, and libraries that are missing."""
         for name in bpy.utils.blend_paths(absolute=True):
             if Path(name).exists():
-                self._confined(Path(os.path.abspath(name)))
+                self._confined(self._unstaged(Path(os.path.abspath(name))))
         for library in bpy.data.libraries:
             path = Path(os.path.abspath(bpy.path.abspath(library.filepath)))
             self._confined(path)
@@ -152,6 +168,7 @@ class _Reader:
     def _path_of(self, image: Any) -> Path:
         """Find a picture: where the file says, in other case, or of the same name near by."""
         named = Path(os.path.abspath(bpy.path.abspath(image.filepath.replace("\\", "/"), library=image.library)))
+        named = self._unstaged(named)
         self._used.add(named)
         if named.is_file():
             self._confined(named)

@@ -218,14 +218,20 @@ def _check_obj(path: Path, folder: Path, files: set[Path], notes: list[Note]) ->
     Returns the key words of its materials.
     """
     words = set[bytes]()
-    for library in _files("mtllib", path, path, folder):
-        files.add(library)
-        if not other_case(library).exists():
+    for named in files_behind("mtllib", path, path, folder):
+        library = other_case(named)
+        if not library.exists() and path.with_suffix(".mtl").exists():
+            library = path.with_suffix(".mtl")  # as importers do
+        files |= {named, library}
+        if library.name != named.name:
+            what, instead = "it is not there", f"{library.name} is taken"
+            notes.append(Note(place=named.name, feature=what, instead=instead, remedy="name it in the OBJ file"))
+        elif not library.exists():
             what = "its materials are plain and matte"
-            notes.append(Note(place=library.name, feature="it is missing", instead=what, remedy="put it beside it"))
+            notes.append(Note(place=named.name, feature="it is missing", instead=what, remedy="put it beside it"))
             continue
-        words |= set(re.findall(rb"^[ \t]*(\w+)", read_bytes(other_case(library), MOST_JSON), re.MULTILINE))
-        for picture in _files("(?:map_|norm|bump|disp|refl)[a-z]*", other_case(library), path, folder):
+        words |= set(re.findall(rb"^[ \t]*(\w+)", read_bytes(library, MOST_JSON), re.MULTILINE))
+        for picture in files_behind("(?:map_|norm|bump|disp|refl)[a-z]*", library, path, folder):
             files.add(picture)
             if picture.exists():
                 _check_picture(path, picture, picture.name)
@@ -245,7 +251,7 @@ _OPTIONS = re.compile(r"^(?:-(?:blendu|blendv|boost|cc|clamp|imfchan|texres|type
 """What may stand before the name of a picture in an MTL file."""
 
 
-def _files(key: str, text: Path, path: Path, folder: Path) -> list[Path]:
+def files_behind(key: str, text: Path, path: Path, folder: Path) -> list[Path]:
     """Return the files behind a key word; MTL files of other systems have backslashes."""
     found = re.findall(rf"^[ \t]*{key}[ \t]+(.*\S)".encode(), read_bytes(text, MOST_JSON), re.MULTILINE | re.IGNORECASE)
     names = {_OPTIONS.sub("", name.decode("utf-8", "surrogateescape")).replace("\\", "/") for name in found}

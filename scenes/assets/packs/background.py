@@ -58,7 +58,9 @@ class BackgroundPack(Pack):
 
     def __init__(self, file: Path, cache: Path) -> None:
         if not file.is_file():
-            raise AssetError(f"background {file} does not exist; name a GLB, glTF, USD or .blend file")
+            raise AssetError(
+                f"background {file} does not exist; name a GLB, glTF, USD, .blend or other file with --background"
+            )
         if file.suffix.lower() not in SUFFIXES:
             raise AssetError(f"background {file} is not one of {', '.join(SUFFIXES)}")
         self.path = self._file = file.resolve()
