@@ -83,7 +83,8 @@ class _Reader:
         self._load()
         self._check_libraries()
         scene = bpy.context.scene
-        self._shaders = ShaderReader(self._keep, self._path_of, self._notes, self._times_plain)
+        gltf = self._suffix in (".glb", ".gltf")
+        self._shaders = ShaderReader(self._keep, self._path_of, self._notes, self._times_plain, gltf=gltf)
         _show_what_is_rendered(scene)
         lights: list[FoundLight] = []
         triangles = 0

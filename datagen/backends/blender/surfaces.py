@@ -63,9 +63,10 @@ class ShaderReader:
     """Reads materials of one file; pictures of the inputs `times_plain` are multiplied with the plain value as well."""
 
     def __init__(
-        self, keep: KeepImage, path_of: Callable[[Any], Path], notes: list[Note], times_plain: set[str]
+        self, keep: KeepImage, path_of: Callable[[Any], Path], notes: list[Note], times_plain: set[str], *, gltf: bool
     ) -> None:
         self._keep, self._path_of, self._notes, self._times_plain = keep, path_of, notes, times_plain
+        self._gltf = gltf  # which says by its use how a picture is encoded; importers say it once for all uses
         self._pictures: dict[str, tuple[Image.Image, bool]] = {}
         self._read: dict[tuple[str, str], Finished] = {}
 
@@ -172,14 +173,14 @@ class ShaderReader:
         for name, words in _NEUTRAL.items():
             if name in node.inputs and self._number(node, name, groups) > 1e-4:
                 self.note(words, "the surface is shown without", "none")
-        for name in ("Specular Tint", "Coat Tint"):
-            tint = self._feed(node, name, groups)
-            if name.startswith("Spec") and (not tint.plain or min(tint.factor) < 0.999):
-                self.note("tinted reflections", "they are white", "none")
+        tint = self._feed(node, "Specular Tint", groups)
+        if not tint.plain or max(tint.factor) - min(tint.factor) > 0.01:
+            self.note("tinted reflections", "they are white", "none")
         transmission, ior = (self._number(node, name, groups) for name in ("Transmission Weight", "IOR"))
         level = self._number(node, "Specular IOR Level", groups)
+        level *= sum(tint.factor) / 3
         if transmission == 0 and abs(level - 0.5) > 1e-6:
-            zero = ((ior - 1) / (ior + 1)) ** 2 * 2 * level  # as Cycles has it
+            zero = min(((ior - 1) / (ior + 1)) ** 2 * 2 * level, 0.25)  # as Cycles has it
             ior = (1 + zero**0.5) / max(1 - zero**0.5, 1e-3)
         strength = self._feed(node, "Emission Strength", groups)
         glow = self._times(self._feed(node, "Emission Color", groups, colour=True), strength)
@@ -326,6 +327,7 @@ class ShaderReader:
         if surface.bump or float(np.ptp(pixels, axis=-1).max()) <= 2:
             self.note("a bump map", "a normal map with slopes of about five degrees is made of it", "give a normal map")
             return self._texture(Image.fromarray(slopes_to_normals(pixels[..., 0] / 16)), feed, at)
+        encoded = encoded and not self._gltf
         if surface.strength != 1 or encoded:
             pixels = (srgb_decode(pixels / 255) if encoded else pixels / 255) * 2 - 1
             pixels[..., :2] *= surface.strength
@@ -339,7 +341,7 @@ class ShaderReader:
         if feed.channel != "RGB":
             values, _ = self._grey(feed)
             return Image.fromarray(np.round(srgb_encode(values) * 255).astype(np.uint8)).convert("RGB")
-        if not encoded:
+        if not encoded and not self._gltf:
             image = Image.fromarray(
                 np.round(srgb_encode(np.asarray(image.convert("RGB")) / 255) * 255).astype(np.uint8)
             )
@@ -351,7 +353,7 @@ class ShaderReader:
         if feed.channel == "A":
             return np.asarray(image.convert("RGBA").getchannel("A"), np.float32) / 255, False
         pixels = np.asarray(image.convert("RGB"), np.float32) / 255
-        pixels = srgb_decode(pixels).astype(np.float32) if encoded else pixels
+        pixels = srgb_decode(pixels).astype(np.float32) if encoded and not self._gltf else pixels
         grey = pixels @ LUMINANCE_WEIGHTS if feed.channel == "RGB" else pixels[..., "RGB".index(feed.channel)]
         return grey.astype(np.float32), encoded
 
