@@ -60,7 +60,8 @@ def bake(shape: Shape, slot: int, socket: Any, groups: Groups, *, colour: bool) 
     placed.matrix_world = shape.matrix.T.tolist()
     bpy.context.scene.collection.objects.link(placed)
     bpy.context.view_layer.objects.active = placed
-    placed.select_set(True)
+    for other in bpy.context.view_layer.objects:  # all that is selected is baked
+        other.select_set(other == placed)
     try:
         target = _layout(placed, made, shape, corners)
         image = bpy.data.images.new(BAKED, SIDE, SIDE, is_data=not colour)

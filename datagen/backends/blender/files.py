@@ -95,6 +95,8 @@ class _Reader:
             placed, matrix = instance.object, np.array(instance.matrix_world)
             if placed.type == "LIGHT":
                 lights += self._light(placed.original.name, placed.data, instance.matrix_world.copy())
+            elif instance.is_instance and placed.type != placed.original.type:
+                pass  # what a curve or text was made into, which comes as itself too
             elif placed.type in SHAPES and abs(np.linalg.det(matrix[:3, :3])) > 1e-18:
                 mesh = placed.data if instance.is_instance else placed.to_mesh()
                 if hasattr(mesh, "loop_triangles"):  # an empty text has none

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from multilight.datagen.backends.blender.bake import BAKED
 from multilight.datagen.backends.blender.trees import Feed, Groups, UnreadError, feed_of, origin, product, triple
 from multilight.scenes.arrays import Float32
 from multilight.scenes.assets.derived_maps import slopes_to_normals
@@ -77,8 +78,12 @@ class ShaderReader:
         """
         key = material.name, active
         if key not in self._read:
-            self._place, self._bake, self._active, self._baked = f"material {material.name!r}", bake, active, False
+            self._place, self._bake, self._active = f"material {material.name!r}", bake, active
+            self._baked, self._all, notes = set[str](), False, list(self._notes)
             finished = self._translated(material)
+            if BAKED in self._baked:  # a layout of its own: whatever else has a picture is to lie in it too
+                self._all, self._notes[:] = True, notes
+                finished = self._translated(material)
             if self._baked:
                 return finished
             self._read[key] = finished
@@ -206,15 +211,18 @@ class ShaderReader:
         socket = node.inputs[name]
         try:
             feed = feed_of(socket, groups)
-            return replace(feed, place=replace(feed.place, layer=feed.place.layer or self._active))
-        except UnreadError as error:
-            try:
-                baked = self._bake(socket, groups, colour=colour)
-            except UnreadError:
-                raise AssetError(f"{self._place}: {socket.name} comes of {error}; bake it into a picture") from None
-            self._baked = True
-            self.note(f"its {socket.name} comes of {error}", "it is baked into a picture", "none is needed")
-            return baked
+            if not (self._all and feed.image is not None and node.type != "NORMAL_MAP"):
+                return replace(feed, place=replace(feed.place, layer=feed.place.layer or self._active))
+            error = "a picture beside what is baked"
+        except UnreadError as refused:
+            error = str(refused)
+        try:
+            baked: Feed = self._bake(socket, groups, colour=colour)
+        except UnreadError:
+            raise AssetError(f"{self._place}: {socket.name} comes of {error}; bake it into a picture") from None
+        self._baked.add(baked.place.layer)
+        self.note(f"its {socket.name} comes of {error}", "it is baked into a picture", "none is needed")
+        return baked
 
     def _number(self, node: Any, name: str, groups: Groups) -> float:
         """Return a plain number; the mean of a picture where one feeds it."""
