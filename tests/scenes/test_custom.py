@@ -317,7 +317,9 @@ def test_usd_lights_have_their_closed_form(tmp_path: Path) -> None:
     sky.AddRotateXOp().Set(90.0)
     sky.CreateIntensityAttr(179.0)
     sky.CreateTextureFileAttr("./sky.png")
-    Image.new("RGB", (8, 4), (255, 255, 255)).save(tmp_path / "sky.png")
+    picture = Image.new("RGB", (8, 4), (255, 255, 255))
+    picture.putpixel((0, 0), (0, 0, 0))  # of one colour it would be no map
+    picture.save(tmp_path / "sky.png")
     stage.Save()
     found = lights_of(tmp_path / "room.usda", tmp_path / "cache")
     assert isinstance(found["ball"], PointLight)

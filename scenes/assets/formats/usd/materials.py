@@ -133,6 +133,10 @@ def read_material(path: Path, shader: Any, texture_of: TextureOf, *, has_uv: boo
     dim = _share(stated("base_weight", stated("base", 1.0))) if names else 1.0
     base = _level(colour, value("diffuseColor", (0.18, 0.18, 0.18))) if own_base is None else rgb_of(own_base)
     rough, metal = found.get("roughness"), found.get("metallic")
+    ior = float(value("ior", 1.5))
+    if value("useSpecularWorkflow", 0):
+        zero = min(float(np.mean(value("specularColor", (0.0, 0.0, 0.0)))), 0.25)
+        ior = (1 + zero**0.5) / (1 - zero**0.5)
     threshold = _share(value("opacityThreshold", 0.0)) if cut_out else 0.0
     material = Material(
         name=own_name or part_name(shader.GetPrim().GetParent().GetName()),
@@ -142,7 +146,7 @@ def read_material(path: Path, shader: Any, texture_of: TextureOf, *, has_uv: boo
         roughness_texture=texture(rough, "L"),
         metallic=_share(value("metallic", 0.0) if metal is None else metal.scale[0]),
         metallic_texture=texture(metal, "L"),
-        ior=float(np.clip(value("ior", 1.5), 1.0, 3.0)),
+        ior=float(np.clip(ior, 1.0, 3.0)),
         coat=_share(value("clearcoat", 0.0)),
         coat_roughness=_share(value("clearcoatRoughness", 0.01)),
         transmission=_share(value("through", 0.0)) if names else transmission,
