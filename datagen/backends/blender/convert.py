@@ -33,6 +33,8 @@ def confine(folder: Path) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     resource.setrlimit(resource.RLIMIT_FSIZE, (FILE, FILE))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    if sys.platform != "linux":
+        return
     libc = ctypes.CDLL(None, use_errno=True)
     libc.unshare(0x50000000)  # a user and a network of its own, without any device
     version = libc.syscall(_CREATE_RULESET, None, 0, 1)

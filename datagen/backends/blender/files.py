@@ -53,6 +53,7 @@ COLOURED = (".glb", ".gltf", ".obj", ".ply", ".fbx")
 """Formats whose vertex colours count whatever the material says."""
 _GIVEN = (".blend", ".glb", ".gltf", ".fbx")
 """Formats whose shading is the file's own where it gives no normals."""
+_begun: list[bool] = []
 _TRIES = 20_000
 """Files that are looked through for a picture that is not where a model says."""
 
@@ -116,8 +117,7 @@ class _Reader:
         return Imported(tuple(nodes), tuple(lights), tuple(self._notes)), sorted(self._used)
 
     def _load(self) -> None:
-        bpy.ops.wm.read_factory_settings(use_empty=True)
-        bpy.context.preferences.filepaths.use_scripts_auto_execute = False
+        _empty()
         try:
             if self._suffix == ".blend":
                 bpy.ops.wm.open_mainfile(filepath=str(self._path), load_ui=False, use_scripts=False)
@@ -323,6 +323,18 @@ class _Reader:
                     kind="area", unit="W/(m2 sr)", amount=amount, width=size[0], height=size[1], ellipse=round_one,
                     **about,
                 )  # fmt: skip
+
+
+def _empty() -> None:
+    """Take away what the last file brought; a .blend file brings settings too, so that all starts anew."""
+    if bpy.data.filepath or not _begun:
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        bpy.context.preferences.filepaths.use_scripts_auto_execute = False
+        _begun.append(True)
+    else:  # ten times faster
+        kinds = ("objects", "collections", "meshes", "curves", "armatures", "lights", "cameras", "materials", "images")
+        kinds += ("node_groups", "actions", "textures", "worlds", "libraries")
+        bpy.data.batch_remove([made for kind in kinds for made in getattr(bpy.data, kind)])
 
 
 def rgb_of(colour: Any, strength: float) -> Rgb:
