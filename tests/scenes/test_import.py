@@ -3,6 +3,7 @@
 Every row is a kind of file that people had, and what is right for it.
 """
 
+import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -263,3 +264,123 @@ def test_an_mtl_of_other_case_is_taken(tmp_path: Path) -> None:
     found = Intake(tmp_path / "cache").read(tmp_path / "b00_base.obj", tmp_path)
     assert found.nodes[0].parts[0].material.base_color_texture is not None
     assert [note.instead for note in found.notes] == ["B00_Base.MTL is taken"]
+
+
+Change = Callable[[dict[str, Any], dict[str, Any]], Any]
+PICTURES: dict[str, Image.Image] = {
+    "cmyk.jpg": Image.new("CMYK", (8, 8), (0, 255, 255, 0)),
+    "palette.png": Image.new("RGB", (8, 8), (200, 30, 40)).quantize(4),
+    "clear.png": Image.new("LA", (8, 8), (128, 100)),
+}
+
+
+def with_picture(name: str, **more: Any) -> Change:
+    def change(header: dict[str, Any], material: dict[str, Any]) -> None:
+        header["images"][0] = {"uri": name}
+        material.update(more)
+
+    return change
+
+
+def extended(name: str, **values: Any) -> Change:
+    def change(header: dict[str, Any], material: dict[str, Any]) -> None:
+        material["extensions"] = {name: values}
+        header["extensionsUsed"] = [name]
+
+    return change
+
+
+VARIED: dict[str, tuple[Change, Callable[[Read], Any]]] = {
+    "cmyk": (
+        with_picture("cmyk.jpg"),
+        lambda r: r.pixels(only(r).material.base_color_texture)[0, 0].tolist() == [255, 0, 0],
+    ),
+    "palette": (
+        with_picture("palette.png"),
+        lambda r: r.pixels(only(r).material.base_color_texture)[0, 0].tolist() == [200, 30, 40],
+    ),
+    "grey with alpha": (
+        with_picture("clear.png", alphaMode="BLEND"),
+        lambda r: r.pixels(only(r).material.base_color_texture)[0, 0].tolist() == [128, 128, 128, 100],
+    ),
+    "a hole": (
+        with_picture("clear.png", alphaMode="MASK", alphaCutoff=0.5),
+        lambda r: material(alpha_cutoff=0.5, opacity_from_alpha=True)(r),
+    ),
+    "alpha that is not asked for": (with_picture("clear.png"), material(opacity=1, opacity_from_alpha=False)),
+    "occlusion in the same picture": (
+        lambda _, m: m.update(occlusionTexture={"index": 0}),
+        lambda r: r.pixels(only(r).material.base_color_texture).mean() == pytest.approx(TILES.mean(), abs=0.5),
+    ),
+    "unlit": (extended("KHR_materials_unlit"), lambda r: "unlit" in r.notes and is_textured(r)),
+    "sheen": (extended("KHR_materials_sheen", sheenColorFactor=[1, 0, 0]), lambda r: "sheen" in r.notes),
+    "no reflection": (extended("KHR_materials_specular", specularFactor=0.0), material(ior=1.0)),
+    "an unknown extension": (extended("EXT_anything", a=1), lambda r: "EXT_anything" in r.notes),
+    "specular and glossiness": (
+        lambda h, m: (m.pop("pbrMetallicRoughness"),
+                      extended("KHR_materials_pbrSpecularGlossiness", diffuseFactor=[0.5, 0.1, 0.1, 1],
+                               glossinessFactor=0.7, specularFactor=[0.04] * 3)(h, m)),
+        material(base_color=(0.5, 0.1, 0.1), roughness=0.3),
+    ),
+    "mirrored": (
+        lambda h, _: h.update(samplers=[{"wrapS": 33648, "wrapT": 33648}], textures=[{"source": 0, "sampler": 0}]),
+        lambda r: only(r).material.base_color_texture.wrap == "mirror",
+    ),
+    "clamped one way, repeated the other": (
+        lambda h, _: h.update(samplers=[{"wrapS": 33071, "wrapT": 10497}], textures=[{"source": 0, "sampler": 0}]),
+        lambda r: "baked" in r.notes and r.pixels(only(r).material.base_color_texture).max() > 100,
+    ),
+    "glowing": (lambda _, m: m.update(emissiveFactor=[1, 0.5, 0]), material(emission=(200, 100, 0))),
+}  # fmt: skip
+with Image.open(CASES / "objs" / "tex.png") as tiles:
+    TILES = np.asarray(tiles.convert("RGB"), np.float64)
+
+
+@pytest.fixture(scope="module")
+def varied(cache: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of files that differ from one of the cases in one thing each."""
+    folder = tmp_path_factory.mktemp("varied")
+    header = json.loads((CASES / "models" / "a38 spaced ünicode.gltf").read_text())
+    for name in ("tex größe 1.png", "buf fer.bin"):
+        shutil.copy(CASES / "models" / name, folder)
+    for name, picture in PICTURES.items():
+        picture.save(folder / name)
+    for name, (change, _) in VARIED.items():
+        made = json.loads(json.dumps(header))
+        change(made, made["materials"][0])
+        (folder / f"{name}.gltf").write_text(json.dumps(made))
+    Intake(cache).convert((path, folder) for path in sorted(folder.glob("*.gltf")))
+    return folder
+
+
+@pytest.mark.parametrize("name", VARIED)
+def test_what_else_glTF_says_is_carried_or_named(name: str, varied: Path, cache: Path) -> None:  # noqa: N802
+    read = Read(str(varied / f"{name}.gltf"), cache)
+    assert VARIED[name][1](read)
+
+
+def test_a_room_is_the_same_in_every_format_that_blender_writes(cache: Path) -> None:
+    """Surfaces, glow and lamps of a room, as Blender saved and exported it; glTF has no panels and skies."""
+    told = []
+    for kind in ("blend", "glb", "usdc"):
+        library = AssetLibrary(cache, packs=(), background=CASES / "fromblender" / f"room.{kind}")
+        assert library.background is not None
+        lights = {}
+        for found in library.background.lights:
+            unit = 179.0 if found.unit in ("cd", "lx", "nit") else 1.0
+            lights[found.kind] = pytest.approx([value / unit for value in found.amount], rel=2e-3)
+        parts = [p for piece in library.background.pieces for p in library.mesh(f"background/{piece.name}").parts]
+        surfaces = {
+            part.name: pytest.approx(
+                [*part.material.base_color, part.material.roughness, part.material.metallic], abs=1e-5
+            )
+            for part in parts
+        }
+        told.append((surfaces, lights, sorted(piece.size for piece in library.background.pieces)))
+    (surfaces, lights, sizes), glb, usd = told
+    assert len(surfaces) == 4
+    assert {"sun", "point", "spot", "emissive"} <= glb[1].keys()
+    for other in (glb, usd):
+        assert {name: value.expected for name, value in other[0].items()} == surfaces
+        assert {kind: value.expected for kind, value in other[1].items()} == {kind: lights[kind] for kind in other[1]}
+        assert np.allclose(other[2], sizes, atol=1e-4)
