@@ -55,7 +55,7 @@ def _from_file(path: Path) -> Asset:
     except (AssetError, ValueError) as error:
         said = str(error) if str(path) in str(error) else f"{path} {error}"
         raise UserError(f"asset {said}") from None
-    pictures = {image: intake.picture(image) for image in _images(mesh)}
+    pictures = {image: intake.picture(image, [(path, path.parent)]) for image in _images(mesh)}
     return Asset(mesh, {image: _linear(picture) for image, picture in pictures.items() if picture is not None})
 
 

@@ -267,6 +267,8 @@ def test_an_mtl_of_other_case_is_taken(tmp_path: Path) -> None:
 
 
 Change = Callable[[dict[str, Any], dict[str, Any]], Any]
+with Image.open(CASES / "objs" / "tex.png") as tiles:
+    TILES = np.asarray(tiles.convert("RGB"), np.float64)
 PICTURES: dict[str, Image.Image] = {
     "cmyk.jpg": Image.new("CMYK", (8, 8), (0, 255, 255, 0)),
     "palette.png": Image.new("RGB", (8, 8), (200, 30, 40)).quantize(4),
@@ -332,8 +334,6 @@ VARIED: dict[str, tuple[Change, Callable[[Read], Any]]] = {
     ),
     "glowing": (lambda _, m: m.update(emissiveFactor=[1, 0.5, 0]), material(emission=(200, 100, 0))),
 }  # fmt: skip
-with Image.open(CASES / "objs" / "tex.png") as tiles:
-    TILES = np.asarray(tiles.convert("RGB"), np.float64)
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
@@ -69,14 +69,14 @@ class Intake:
         place = self._record(path, folder)[0]
         return "-".join(place.parts[-3:]).replace(".", "-")
 
-    def picture(self, name: str, suffix: str = ".png") -> Path | None:
-        """Return a texture or sky of one of the files that were read; None where it is not there any more."""
-        path = self._pictures / f"{name}{suffix}"
-        return path if is_sound(path) else None
-
-    def forget(self, path: Path) -> None:
-        """Let a file be read anew."""
-        shutil.rmtree(self._place(path), ignore_errors=True)
+    def picture(self, name: str, models: Sequence[tuple[Path, Path]]) -> Path | None:
+        """Return a texture or sky of some (file, folder); where it is not in the cache any more, they are read anew."""
+        path = self._pictures / f"{name}{'.exr' if name.startswith('sky-') else '.png'}"
+        if not is_sound(path):
+            for file, _ in models:
+                shutil.rmtree(self._place(file), ignore_errors=True)
+            self.convert(models)
+        return path if path.is_file() else None
 
     def _place(self, path: Path) -> Path:
         return self._records / (file_digest(path) or "missing")[:16] / f"{_code()}{path.suffix.lower()}"

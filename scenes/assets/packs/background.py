@@ -150,24 +150,20 @@ class BackgroundPack(Pack):
 
     def texture(self, name: str) -> Path:
         """Return the PNG of a texture `texture-<hash>`."""
-        path = self._picture(name, ".png") if re.fullmatch(r"texture-[0-9a-f]{32}", name) else None
+        path = self._picture(name) if re.fullmatch(r"texture-[0-9a-f]{32}", name) else None
         if path is None:
             raise AssetError(f"no texture '{PACK}/{name}' in {self._file}")
         return path
 
     def environment(self, name: str) -> Path:
         """Return the environment map that came with the file."""
-        path = self._picture(name, ".exr") if re.fullmatch(r"sky-[0-9a-f]{32}", name) else None
+        path = self._picture(name) if re.fullmatch(r"sky-[0-9a-f]{32}", name) else None
         if path is None:
             raise AssetError(f"no environment map '{PACK}/{name}' in {self._file}")
         return path
 
-    def _picture(self, name: str, suffix: str) -> Path | None:
-        """Return a picture of the file, which is read anew where it is not in the cache any more."""
-        if self._intake.picture(name, suffix) is None:
-            self._intake.forget(self._file)
-            self._intake.read(self._file, self._file.parent)
-        return self._intake.picture(name, suffix)
+    def _picture(self, name: str) -> Path | None:
+        return self._intake.picture(name, [(self._file, self._file.parent)])
 
 
 def _converted(file: Path, found: Imported, work: Path) -> _Index:

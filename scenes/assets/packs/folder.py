@@ -219,26 +219,18 @@ class FolderPack(Pack):
         surface, _, kind = name.partition("#")
         if surface in self._surfaces:
             return self._surface(self._surfaces[surface], kind)
-        path = self._intake.picture(name) if re.fullmatch(r"texture-[0-9a-f]{32}", name) else None
-        if path is None:
-            for entry in self._entries.values():  # one was removed from the cache: whatever had it is read anew
-                self._intake.forget(entry.file)
-            self._intake.convert((entry.file, entry.home) for entry in self._entries.values())
-            path = self._intake.picture(name)
+        own = [(entry.file, entry.home) for entry in self._entries.values()]
+        path = self._intake.picture(name, own) if re.fullmatch(r"texture-[0-9a-f]{32}", name) else None
         if path is None:
             raise AssetError(f"no texture '{self.name}/{name}'; no model of the folder has it")
         return path
 
     def environment(self, name: str) -> Path:
         """Return the EXR of a sky, checked and cleaned."""
-        (sky,) = self._imported(self._entries[name]).lights
-        path = self._intake.picture(str(sky.map), ".exr")
-        if path is None:
-            self._intake.forget(self._entries[name].file)
-            self._imported(self._entries[name])
-            path = self._intake.picture(str(sky.map), ".exr")
-        if path is None:
-            raise AssetError(f"{self._entries[name].file} cannot be kept in the cache; free some space")
+        entry = self._entries[name]
+        (sky,) = self._imported(entry).lights
+        path = self._intake.picture(str(sky.map), [(entry.file, entry.home)])
+        assert path is not None
         return path
 
     def _own(self, material: Material, emission: Emission | None) -> Material:
