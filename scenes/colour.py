@@ -5,6 +5,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from multilight.scenes.frozen import Rgb, triple
 
+LUMINOUS_EFFICACY = 179.0
+"""lm/W of equal-energy white light over the visible range: the constant of the Radiance software (WHTEFFICACY in
+its color.h; G. Ward Larson and R. Shakespeare, Rendering with Radiance, 1998). One constant for every colour keeps
+photometric input proportional to Rec.709 luminance."""
 LUMINANCE_WEIGHTS = (0.2126, 0.7152, 0.0722)
 """Relative luminance of the Rec.709 primaries under D65 (ITU-R BT.709-6, item 3.2)."""
 RGB_FROM_XYZ = np.array(

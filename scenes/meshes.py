@@ -23,7 +23,8 @@ class MeshPart:
     """Triangles that share one material.
 
     vertices (V, 3) float32 metres, faces (F, 3) int32 counter-clockwise seen from outside, normals (V, 3)
-    float32 unit shading normals, uv (V, 2) float32 with the origin at the image's bottom left, or zeros.
+    float32 unit shading normals, uv (V, 2) float32 with the origin at the image's bottom left, or zeros; colors
+    (V, 3) float32, linear, multiply the base colour where they are given.
     """
 
     name: str
@@ -32,6 +33,7 @@ class MeshPart:
     normals: Float32
     uv: Float32
     material: Material
+    colors: Float32 | None = None
 
     def triangles(self) -> Float32:
         """Return the corners of its faces, (F, 3, 3) float32, metres."""
@@ -62,7 +64,8 @@ class Mesh:
         digest = hashlib.sha256()
         for part in self.parts:
             digest.update(part.material.canonical_json().encode())
-            for array in (part.vertices, part.faces, part.normals, part.uv):
+            given = () if part.colors is None else (part.colors,)
+            for array in (part.vertices, part.faces, part.normals, part.uv, *given):
                 digest.update(np.ascontiguousarray(array).tobytes())
         return digest.hexdigest()
 
@@ -125,6 +128,8 @@ def save_mesh(mesh: Mesh, path: Path) -> None:
     arrays: dict[str, NDArray[np.generic]] = {"header": np.frombuffer(header.canonical_json().encode(), np.uint8)}
     for i, part in enumerate(mesh.parts):
         arrays |= {f"v{i}": part.vertices, f"f{i}": part.faces, f"n{i}": part.normals, f"t{i}": part.uv}
+        if part.colors is not None:
+            arrays[f"c{i}"] = part.colors
     path.parent.mkdir(parents=True, exist_ok=True)
     with write_whole(path) as work:
         np.savez(work, **arrays)
@@ -142,7 +147,7 @@ def load_mesh(path: Path) -> Mesh:
             raise ValueError("it is no NPZ file")
         header = _Header.from_json(data["header"].tobytes().decode())
         parts = tuple(
-            MeshPart(name, data[f"v{i}"], data[f"f{i}"], data[f"n{i}"], data[f"t{i}"], material)
+            MeshPart(name, data[f"v{i}"], data[f"f{i}"], data[f"n{i}"], data[f"t{i}"], material, data.get(f"c{i}"))
             for i, (name, material) in enumerate(zip(header.names, header.materials, strict=True))
         )
     for part in parts:
@@ -153,7 +158,9 @@ def load_mesh(path: Path) -> Mesh:
 def _check_arrays(part: MeshPart) -> None:
     """Raise `ValueError` where a part's arrays are not of their types and shapes, or a face names no vertex."""
     count = len(part.vertices)
-    wanted = ((part.vertices, (count, 3)), (part.normals, (count, 3)), (part.uv, (count, 2)))
+    wanted = [(part.vertices, (count, 3)), (part.normals, (count, 3)), (part.uv, (count, 2))]
+    if part.colors is not None:
+        wanted.append((part.colors, (count, 3)))
     if part.faces.dtype != np.int32 or part.faces.ndim != 2 or part.faces.shape[1] != 3 or not len(part.faces):
         raise ValueError(f"part {part.name!r} has no faces")
     if any(array.dtype != np.float32 or array.shape != shape for array, shape in wanted):

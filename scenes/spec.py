@@ -1,9 +1,9 @@
 """`SceneSpec`: everything that is in a scene except its lights, in metres, +Z up."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+from pydantic import Field, PositiveFloat, PositiveInt, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from multilight.scenes.arrays import Float64
 from multilight.scenes.frozen import Frozen, Matrix4, Rgb, Slug, UnitFloat
@@ -11,19 +11,41 @@ from multilight.scenes.frozen import Frozen, Matrix4, Rgb, Slug, UnitFloat
 SceneKind = Literal["tabletop", "room", "outdoor", "studio", "custom", "spheres"]
 
 
-class Texture(Frozen):
-    """An image looked up at `uv * repeat`; `image` is an asset id that `AssetLibrary.texture_path` resolves."""
+class _Grown(Frozen):
+    """A record with fields that came later: they are written only where they say something, so that hashes stay."""
+
+    later: ClassVar[tuple[str, ...]] = ()
+
+    @model_serializer(mode="wrap")
+    def _without_defaults(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        fields = type(self).model_fields
+        unsaid = {name for name in self.later if getattr(self, name) == fields[name].default}
+        return {name: value for name, value in handler(self).items() if name not in unsaid}
+
+
+class Texture(_Grown):
+    """An image looked up at `uv * repeat`; `image` is an asset id that `AssetLibrary.texture_path` resolves.
+
+    `wrap` says what lies beyond the image: it again, its last pixels, or its mirror image.
+    """
+
+    later = ("wrap",)
 
     image: str
     repeat: tuple[PositiveFloat, PositiveFloat] = (1.0, 1.0)
+    wrap: Literal["repeat", "clamp", "mirror"] = "repeat"
 
 
-class Material(Frozen):
+class Material(_Grown):
     """A principled surface (Burley 2012, as in Blender's Principled BSDF and Mitsuba's `principled`).
 
-    Where a texture is given it multiplies the plain value. `base_color` is linear Rec.709; base-colour
-    textures are sRGB-encoded 8-bit files, all others linear.
+    Where a texture is given it multiplies the plain value, as the mesh's vertex colours do the base colour.
+    `base_color` is linear Rec.709; base-colour textures are sRGB-encoded 8-bit files, all others linear. Opacity of
+    `alpha_cutoff` and more counts as 1, of less as 0 (at a cutoff of 0 it is taken as it is). `emission` [cd/m²], times
+    its texture, is what the surface gives off where a rig makes it a light.
     """
+
+    later = ("metallic_texture", "alpha_cutoff", "emission", "emission_texture")
 
     name: str = "material"
     base_color: Rgb = (0.8, 0.8, 0.8)
@@ -38,6 +60,10 @@ class Material(Frozen):
     opacity: UnitFloat = 1.0
     opacity_from_alpha: bool = False
     normal_texture: Texture | None = None
+    metallic_texture: Texture | None = None
+    alpha_cutoff: UnitFloat = 0.0
+    emission: Rgb = (0.0, 0.0, 0.0)
+    emission_texture: Texture | None = None
 
 
 class Sphere(Frozen):

@@ -3,10 +3,11 @@
 import json
 import sys
 from pathlib import Path
+from typing import get_args
 
 from multilight.datagen.tables import print_table
 from multilight.datagen.text import did_you_mean, plain
-from multilight.scenes.assets.check import check_assets
+from multilight.scenes.assets.check import account, check_assets
 from multilight.scenes.assets.fetch import DEFAULT_PACKS, fetch_pack
 from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.assets.library import AssetError, AssetLibrary, AssetRole
@@ -40,17 +41,23 @@ def fetch(which: str | None) -> int:
 
 
 def check(which: str | None, *, as_json: bool) -> int:
-    """Load every asset for real and name the broken ones; returns 1 if there are any."""
+    """Load every asset for real and name the broken ones, with an account of one's own; returns 1 if any is broken."""
     library, pack = _library(which)
     problems = check_assets(library, pack)
-    total = len(_infos(library, pack))
+    found = [info for role in get_args(AssetRole) for info in library.list(role) if pack in (None, info.pack)]
+    accounts = {info.id: account(library, info) for info in found if info.as_made}
     if as_json:
-        print(json.dumps({"assets": total, "broken": dict(problems)}, indent=1))
-        return 1 if problems or not total else 0
+        print(json.dumps({"assets": len(found), "accounts": accounts, "broken": dict(problems)}, indent=1))
+        return 1 if problems or not found else 0
+    for asset, said in accounts.items():
+        for number, line in enumerate(said):
+            print(plain(line if number else f"{asset}: {line}"))
     for asset, problem in problems:
         print(plain(f"{asset}: {problem}"))
-    print(f"{total} assets, {len(problems)} broken" if problems else f"all {total} assets ok")
-    return 1 if problems or not total else 0
+    remarks = sum(max(len(said) - 1, 0) for said in accounts.values())
+    whole = f"{len(found)} assets, {len(problems)} broken" if problems else f"all {len(found)} assets ok"
+    print(whole + (f", {remarks} remarks" if remarks else ""))
+    return 1 if problems or not found else 0
 
 
 def _infos(library: AssetLibrary, pack: str | None) -> list[AssetInfo]:
@@ -61,9 +68,9 @@ def _library(which: str | None) -> tuple[AssetLibrary, str | None]:
     """Open the library for a pack's name, a folder of models, or everything."""
     if which is None:
         return AssetLibrary(), None
-    if Path(which).is_dir():
-        folder = Path(which).resolve()
-        return AssetLibrary(folders=(folder,)), folder.name
+    if Path(which).exists():
+        library = AssetLibrary(packs=(), folders=(Path(which),))
+        return library, library.packs[0]
     library = AssetLibrary()
     packs = sorted({info.pack for info in _infos(library, None)})
     if which not in packs:

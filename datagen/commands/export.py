@@ -72,7 +72,7 @@ class Usd(_Source):
     scene: int | None = None
     """Index of the one scene to write (default: all)."""
     assets: tuple[Path, ...] = ()
-    """Folders of your own models that the dataset was made with."""
+    """Folders of your own models that the dataset was made with, and its background where that has moved."""
 
     def run(self) -> int:
         """Write the stages and return the exit code."""

@@ -47,7 +47,14 @@ class _Options:
     denoise: Annotated[Denoise | None, config_key("denoise")] = None
     keep_raw: Annotated[bool, tyro.conf.FlagCreatePairsOff, config_key("keep_raw")] = False
     assets: tuple[Path, ...] = ()
-    """Folders of your own GLB, glTF or OBJ models to use besides the installed packs."""
+    """Folders of your own models, skies and surfaces to use besides the installed packs."""
+    only_assets: tuple[Path, ...] = ()
+    """The same, but nothing that is installed is used."""
+
+    @property
+    def folders(self) -> tuple[Path, ...]:
+        """The user's own folders."""
+        return (*self.assets, *self.only_assets)
 
     def configuration(self, **more: object) -> DatasetConfig:
         """Return what to make: what is given, over the dataset's own settings where it is there, else the defaults."""
@@ -55,6 +62,7 @@ class _Options:
 
         options = {key: value for key, value in vars(self).items() if key in DatasetConfig.model_fields} | more
         options["keep_raw"] = self.keep_raw or None
+        options["only_assets"] = True if self.only_assets else None
         return load_config(self.config, options, self.preset, settings_of(self.out))
 
 
@@ -75,7 +83,7 @@ class Dataset(_Options):
         """Make what is missing and return the exit code."""
         config = self.configuration()
         indices = tuple(range(config.scenes))
-        return make_scenes(self.out, config, indices, workers=self.workers, assets=self.assets, repair=self.repair)
+        return make_scenes(self.out, config, indices, workers=self.workers, assets=self.folders, repair=self.repair)
 
 
 @dataclass(kw_only=True)
@@ -90,7 +98,7 @@ class Scene(_Options):
         if self.index < 0:
             raise UserError(f"--index {self.index} must be 0 or more")
         config = self.configuration(scenes=self.index + 1)
-        return make_scenes(self.out, config, (self.index,), workers=1, assets=self.assets)
+        return make_scenes(self.out, config, (self.index,), workers=1, assets=self.folders)
 
 
 def make_scenes(

@@ -53,8 +53,10 @@ class DatasetConfig(Settings):
     ood_kinds: tuple[Kind, ...] = ()
     """Kinds that only scenes of the split `test_ood` are of; empty: those differ in assets and places only."""
     background: Path | None = None
-    """GLB, glTF, USD or .blend file that scenes of kind `custom` are set in (scripts in it never run), or the stage of
-    kind `imported`."""
+    """GLB, glTF, USD, .blend or other file that scenes of kind `custom` are set in (scripts in it never run), or the
+    stage of kind `imported`."""
+    only_assets: bool = False
+    """Draw from the folders of `assets` alone, not from what is installed."""
     renderer: Renderer = "auto"
     """Renderer; `auto` takes the fastest that is installed."""
     width: Annotated[int, Field(ge=16, le=8192, json_schema_extra=PIXELS)] = 256

@@ -6,13 +6,14 @@ import importlib.metadata
 import multiprocessing
 import os
 import shutil
+import signal
 import sys
 import time
 from collections.abc import Sequence
 from concurrent.futures import TimeoutError as FutureTimeout
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from pebble import ProcessExpired, ProcessFuture, ProcessPool
 
@@ -22,13 +23,17 @@ from multilight.datagen.config.dataset import DatasetConfig, RendererName
 from multilight.datagen.errors import RunStoppedError, StoreError, UserError, full_disk_told
 from multilight.datagen.files.locks import locked
 from multilight.datagen.production.finishing import finish, survey
-from multilight.datagen.production.library import check_background
+from multilight.datagen.production.library import check_library, located, same_background
 from multilight.datagen.production.worker import WorkerSetup, log_path, run_scene
 from multilight.datagen.report import Report
-from multilight.datagen.storage.records import GHOSTS, DatasetRecord
+from multilight.datagen.storage.records import GHOSTS, DatasetRecord, ImportAccount
 from multilight.datagen.storage.store import COPIES, read_dataset, read_scene, scene_dir, scene_indices, write_text
 from multilight.datagen.verification.dataset import ANEW
+from multilight.scenes.assets.cache import check_cache, file_digest
+from multilight.scenes.assets.check import MODELS
+from multilight.scenes.assets.info import AssetRole
 from multilight.scenes.assets.library import AssetError, AssetLibrary
+from multilight.scenes.assets.packs.background import PACK
 
 SCENES_A_WORKER = 25  # then a fresh process: a long-lived Blender grows
 SECONDS_A_MEGASAMPLE = 60.0  # a hundred times what a slow core needs; only a hung scene exceeds it
@@ -87,9 +92,15 @@ def make_dataset(plan: Plan, report: Report) -> Outcome:
     """
     renderer = resolve_renderer(plan.config.renderer)
     _check_kind(plan.config, renderer)
-    check_background(plan.config)
+    plan = replace(plan, config=located(plan.config, plan.root))
+    if renderer != "analytic":
+        check_cache()
+    library = check_library(plan.config, plan.asset_folders)
     with locked(plan.root), full_disk_told(plan.root):
         record = _open_record(plan, renderer)
+        if library is not None and (said := _accounts(library)) != record.imports:
+            record = record.model_copy(update={"imports": said}).sealed()
+            write_text(plan.root / "dataset.json", record.model_dump_json(indent=1))
         for name in ("work", "logs"):
             shutil.rmtree(plan.root / name, ignore_errors=True)
         for leftover in plan.root.glob(".*.tmp*"):
@@ -106,7 +117,7 @@ def make_dataset(plan: Plan, report: Report) -> Outcome:
             print(f"scene {index} is damaged and made anew: {reason}", file=sys.stderr)
         if there.rows or there.damaged:
             _check_makers(record, plan)
-        watch = _Watch(report, _broken_models(plan.asset_folders), {}, [])
+        watch = _Watch(report, {} if library is None else _broken_models(library), {}, [])
         failures = _run(plan, renderer, missing, watch)
         shutil.rmtree(plan.root / "work", ignore_errors=True)
         made = tuple(i for i in missing if i not in failures)
@@ -138,7 +149,7 @@ def _check_kind(config: DatasetConfig, renderer: RendererName) -> None:
 
 def _check_makers(record: DatasetRecord, plan: Plan) -> None:
     """Raise `UserError` where packs that scenes drew from are missing; tell where other versions make what is new."""
-    here = {"background", *(folder.resolve().name for folder in plan.asset_folders), *AssetLibrary().packs}
+    here = {PACK, *(folder.resolve().name for folder in plan.asset_folders), *AssetLibrary().packs}
     if missing := sorted({credit.pack for credit in record.assets} - here):
         raise UserError(
             f"{plan.root} was made with the pack {missing[0]!r}, which is not there; run `multilight assets fetch "
@@ -176,7 +187,12 @@ def _open_record(plan: Plan, renderer: RendererName) -> DatasetRecord:
             "it can be read, but not continued: use another --out"
         )
     old, new = record.config.model_dump(), plan.config.model_dump()
-    if other := [key for key in old if old[key] != new[key] and key not in ("scenes", "renderer")]:
+
+    def differs(key: str) -> bool:
+        same = key == "background" and same_background(record, plan.config.background)
+        return key not in ("scenes", "renderer") and old[key] != new[key] and not same
+
+    if other := [key for key in old if differs(key)]:
         raise UserError(
             f"{plan.root} was made with {', '.join(f'{key} = {old[key]!r}, not {new[key]!r}' for key in other)}; "
             "leave that away to continue it as it is, or use another --out"
@@ -191,7 +207,11 @@ def _open_record(plan: Plan, renderer: RendererName) -> DatasetRecord:
 def _new_record(plan: Plan, renderer: RendererName, variant: str) -> DatasetRecord:
     """Write the `dataset.json` of a dataset that begins."""
     versions = {package: importlib.metadata.version(package) for package in VERSIONS}
-    record = DatasetRecord(config=plan.config, renderer=renderer, variant=variant, versions=versions).sealed()
+    seen = "" if plan.config.background is None else file_digest(plan.config.background) or ""
+    made = DatasetRecord(
+        config=plan.config, renderer=renderer, variant=variant, versions=versions, background_sha256=seen
+    )
+    record = made.sealed()
     write_text(plan.root / "dataset.json", record.model_dump_json(indent=1))
     return record
 
@@ -210,12 +230,19 @@ def _restored_record(plan: Plan, renderer: RendererName, variant: str, error: St
     return _new_record(plan, renderer, variant)
 
 
-def _broken_models(folders: tuple[Path, ...]) -> dict[str, str]:
+def _accounts(library: AssetLibrary) -> tuple[ImportAccount, ...]:
+    """Say of each file of the user's what it states and is not carried."""
+    infos = [info for role in get_args(AssetRole) for info in library.list(role)]
+    own = [info for info in infos if info.as_made] + [i for i in infos if i.pack == PACK and i.role == "surrounding"][
+        :1
+    ]
+    notes = ((info.id, tuple(map(str, library.notes(info.id)))) for info in own if info.role != "texture")
+    return tuple(ImportAccount(asset=asset, notes=said) for asset, said in notes if said)
+
+
+def _broken_models(library: AssetLibrary) -> dict[str, str]:
     """Name the models of the user's folders that cannot be used, with the reason."""
-    if not folders:
-        return {}
-    library = AssetLibrary(folders=folders)
-    for info in (*library.list("object"), *library.list("table")):
+    for info in (info for role in MODELS for info in library.list(role)):
         if info.size is None:
             with contextlib.suppress(AssetError):
                 library.mesh(info.id)
@@ -273,6 +300,13 @@ def _collect(plan: Plan, futures: dict[ProcessFuture, int], watch: _Watch) -> di
     return failures
 
 
+def _ended(code: int) -> str:
+    """Say how a process ended; native libraries crash in many ways where memory is refused."""
+    if code >= 0:
+        return f"died with exit code {code}"
+    return f"was ended by {signal.Signals(-code).name}, most often for want of memory: use fewer --workers"
+
+
 def _failure(plan: Plan, index: int, future: ProcessFuture, watch: _Watch) -> str | None:
     """Return why a scene was not made, or None; what stops every scene (a full disk) is raised."""
     where = f"seed {plan.config.seed}, log {log_path(plan.root, index)}"
@@ -285,7 +319,7 @@ def _failure(plan: Plan, index: int, future: ProcessFuture, watch: _Watch) -> st
     except FutureTimeout:
         return f"took longer than {_timeout(plan.config):.0f} s and was stopped ({where})"
     except ProcessExpired as error:
-        return f"the worker died with exit code {error.exitcode} ({where})"
+        return f"the worker {_ended(error.exitcode)} ({where})"
     except RunStoppedError:
         raise
     except UserError as error:

@@ -1,34 +1,23 @@
-"""A dataset's assets, with the scene file it is set in; `.blend` files are converted by a Blender of their own."""
+"""A dataset's assets, with the scene file it is set in."""
 
 import contextlib
-import hashlib
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 from multilight.datagen.config.dataset import DatasetConfig
 from multilight.datagen.errors import UserError
-from multilight.scenes.assets.cache import default_cache, is_sound, sources_key
-from multilight.scenes.assets.formats.claims import check_model
-from multilight.scenes.assets.library import AssetError, AssetLibrary
+from multilight.datagen.storage.records import DatasetRecord
+from multilight.scenes.assets.cache import file_digest
+from multilight.scenes.assets.info import AssetError
+from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.assets.packs.background import PACK
-from multilight.scenes.files.whole import write_whole
 from multilight.scenes.kinds.custom import background_bodies, find_places
-
-SECONDS = 600
-"""Longest that the conversion of a .blend file may take."""
-_CONVERTER = "multilight.datagen.backends.blender.convert"
 
 
 def open_library(config: DatasetConfig, folders: tuple[Path, ...] = ()) -> AssetLibrary:
     """Open the assets a dataset draws from; raises `AssetError` where the background cannot be read."""
-    background = config.background
-    if config.kind == "imported" and background is not None:
-        return _stage_library(background, folders)
-    if background is not None and background.suffix.lower() == ".blend":
-        background = converted_blend(background, default_cache())
-    return AssetLibrary(folders=folders, background=background)
+    if config.kind == "imported" and config.background is not None:
+        return _stage_library(config.background, folders)
+    return AssetLibrary(folders=folders, background=config.background, only_own=config.only_assets)
 
 
 def _stage_library(stage: Path, folders: tuple[Path, ...]) -> AssetLibrary:
@@ -43,44 +32,59 @@ def _stage_library(stage: Path, folders: tuple[Path, ...]) -> AssetLibrary:
     return AssetLibrary(folders=folders, background=stage)
 
 
-def check_background(config: DatasetConfig) -> None:
-    """Convert the background, and see that it has surfaces, before any worker starts.
+TABLES = ("tabletop", "room")
+"""Kinds of scenes that need a table."""
 
-    Raises `AssetError` in one line with the file, what is wrong and the remedy.
+
+def check_library(config: DatasetConfig, folders: tuple[Path, ...]) -> AssetLibrary | None:
+    """Read what is the user's own, and see that the scenes can be made of it, before any worker starts.
+
+    Returns the library; None where nothing is the user's. Raises `AssetError` in one line with the file, or what is
+    missing, and the remedy.
     """
-    if config.background is not None and config.kind != "imported":
-        library = open_library(config)
+    if config.kind == "imported" or (config.background is None and not folders and not config.only_assets):
+        return None
+    library = open_library(config, folders)
+    if config.background is not None:
         find_places(background_bodies(library), library)
+    if config.only_assets:
+        _check_enough(config, library, folders)
+    return library
 
 
-def converted_blend(file: Path, cache: Path) -> Path:
-    """Return a GLB of a .blend file, converted on the first call in a process of its own that runs no script in it.
+def _check_enough(config: DatasetConfig, library: AssetLibrary, folders: tuple[Path, ...]) -> None:
+    """Raise `AssetError` where the user's own are too few for a kind of scene, or for a split."""
+    mixed = [k for k, share in config.kinds.model_dump().items() if share] if config.kind == "mixed" else []
+    kinds = {config.kind, *config.ood_kinds, *mixed}
+    needs = {"object": config.objects[1], "table": int(bool(kinds & {*TABLES})), "surrounding": int("room" in kinds)}
+    where = ", ".join(map(str, folders)) or "any folder"
+    for split, share in config.splits.weights().items():
+        for role in ("object", "table", "surrounding") if share else ():
+            found = sum(info.as_made for info in library.restricted(split).list(role))
+            if found < needs[role]:
+                raise AssetError(
+                    f"scenes of the split {split!r} need {needs[role]} {role}(s) or more, and {where} has {found}; "
+                    f"add some, set fewer `objects`, splits.{split} = 0 or the role in assets.csv, or use --assets"
+                )
 
-    Raises `AssetError` where Blender cannot open it.
-    """
-    if not file.is_file():
-        raise AssetError(f"background {file} does not exist; name a GLB, glTF, USD or .blend file")
-    # By what it is, not by where it lies: a copy on another machine gives the same scene.
-    digest = hashlib.sha256(
-        file.read_bytes() + sources_key(str(Path(__file__).parents[1] / "backends" / "blender" / "convert.py")).encode()
-    )
-    target = cache / "backgrounds" / f"blend-{digest.hexdigest()[:32]}" / f"{file.stem}.glb"
-    if is_sound(target, lambda glb: check_model(glb, glb.parent)):
-        return target
-    target.parent.mkdir(parents=True, exist_ok=True)
-    root = str(Path(__file__).parents[3])  # of `multilight`
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, [root, os.environ.get("PYTHONPATH")]))}
-    with write_whole(target) as work:
-        command = [sys.executable, "-m", _CONVERTER, str(file.resolve()), str(work)]
-        try:
-            done = subprocess.run(
-                command, capture_output=True, text=True, timeout=SECONDS, env=environment, check=False
-            )
-        except subprocess.TimeoutExpired:
-            raise AssetError(f"{file} took Blender more than {SECONDS} s to convert; export it as GLB") from None
-        if not work.is_file():
-            said = [line for line in done.stderr.splitlines() if line.strip()] or [f"exit code {done.returncode}"]
-            raise AssetError(
-                f"{file} cannot be converted ({said[-1].strip()}); open and save it in Blender 4.5 or newer"
-            )
-    return target
+
+def open_library_again(record: DatasetRecord, root: Path, own: tuple[Path, ...]) -> AssetLibrary:
+    """Open the assets of a dataset in `root` that is there, perhaps moved here: `own` may hold its background too."""
+    config = located(record.config, root)
+    for file in (path for path in own if path.is_file() and same_background(record, path)):
+        config, own = config.model_copy(update={"background": file}), tuple(path for path in own if path != file)
+    return open_library(config, own)
+
+
+def same_background(record: DatasetRecord, background: Path | None) -> bool:
+    """Tell whether a background is the one that a dataset was made with, wherever it lies."""
+    return background is not None and file_digest(background) == record.background_sha256 != ""
+
+
+def located(config: DatasetConfig, root: Path) -> DatasetConfig:
+    """Return a configuration whose background is found beside the dataset where it is not where it was."""
+    if config.background is None or config.background.exists():
+        return config
+    beside = root.resolve().parent
+    there = [path for path in (beside / config.background, beside / config.background.name) if path.exists()]
+    return config.model_copy(update={"background": there[0]}) if there else config

@@ -80,6 +80,13 @@ class AssetCredit(Frozen):
     licence: str
 
 
+class ImportAccount(Frozen):
+    """What a file of the user's states and is not carried, a line each."""
+
+    asset: str
+    notes: tuple[str, ...]
+
+
 class LayerEnergy(Frozen):
     """What one layer held before denoising, as radiance averaged over the colour channels.
 
@@ -195,7 +202,8 @@ class DatasetRecord(Schema):
 
     `variant` is Mitsuba's (`llvm_ad_rgb`, say) on the machine that began the dataset, empty for other renderers;
     `index_sha256` is the hash of `index.parquet` and `index_rows` the number of its scenes: as the last call that made
-    scenes left it, empty before.
+    scenes left it, empty before. `imports` are the accounts of what the user brought; `background_sha256` is the hash
+    of the background's file, which says that it is the same wherever it lies.
     """
 
     config: DatasetConfig
@@ -203,6 +211,8 @@ class DatasetRecord(Schema):
     variant: str = ""
     versions: dict[str, str]
     assets: tuple[AssetCredit, ...] = ()
+    imports: tuple[ImportAccount, ...] = ()
+    background_sha256: str = ""
     index_sha256: str = ""
     index_rows: Annotated[int, Field(ge=0)] = 0
 

@@ -6,7 +6,7 @@ import numpy as np
 from pxr import Gf, Sdf, UsdGeom, UsdRender
 
 from multilight.datagen.usd.layout import RENDER, SENSOR, set_own
-from multilight.lights.photometry.radiometry import LUMINOUS_EFFICACY
+from multilight.scenes.colour import LUMINOUS_EFFICACY
 from multilight.scenes.spec import Camera
 
 NEAR, FAR = 1e-3, 1e5

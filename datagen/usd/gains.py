@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from pxr import Gf
 
-from multilight.lights.photometry.radiometry import LUMINOUS_EFFICACY
 from multilight.scenes.arrays import Float64
+from multilight.scenes.colour import LUMINOUS_EFFICACY
 from multilight.scenes.frozen import Rgb
 
 Strength = tuple[str, Callable[[Float64], None]]

@@ -42,13 +42,16 @@ class Materials:
         red, green, blue = (value * dim for value in material.base_color)
         colour = network.factor("diffuseColor", (red, green, blue), material.base_color_texture)
         network.factor("roughness", material.roughness, material.roughness_texture)
-        _feed(surface, metallic=material.metallic, ior=material.ior, clearcoat=material.coat)
+        network.factor("metallic", material.metallic, material.metallic_texture)
+        _feed(surface, ior=material.ior, clearcoat=material.coat)
         _feed(surface, clearcoatRoughness=material.coat_roughness)
         if material.opacity_from_alpha and colour is not None:
             scale = colour.GetInput("scale")
             red, green, blue, _ = scale.Get()
             scale.Set(Gf.Vec4f(red, green, blue, material.opacity))
             _connect(surface, "opacity", colour, "a")
+            if material.alpha_cutoff:
+                _feed(surface, opacityThreshold=material.alpha_cutoff)
         else:  # a presence (a cut-out), or that of glass, whose reflection stays
             _feed(surface, opacity=material.opacity * _opaque_fraction(material))
         if material.transmission > 0:
@@ -106,7 +109,7 @@ class _Network:
         """Add the picture's shader, looked up at the mesh's `st` times its repeat."""
         node = self._node(f"{name}_texture", "UsdUVTexture")
         _feed(node, file=self._files.texture(texture.image), sourceColorSpace=colour_space)
-        _feed(node, wrapS="repeat", wrapT="repeat")
+        _feed(node, wrapS=texture.wrap, wrapT=texture.wrap)
         node.GetPrim().CreateAttribute(IMAGE, _TYPES.String, custom=True).Set(texture.image)
         placed = self._node(f"{name}_place", "UsdTransform2d")
         _feed(placed, scale=Gf.Vec2f(*texture.repeat))

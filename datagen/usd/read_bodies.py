@@ -36,10 +36,10 @@ class BodyReader:
         if geometry is None:
             self._as_it_is(prim, surfaces)
             return
-        self._add(prim, prim.GetName(), geometry, tuple(material for material, _ in found), self._place(prim))
-        for part, ((place, _), (_, emission)) in enumerate(zip(surfaces, found, strict=True)):
-            if emission is not None:
-                self.glows[place] = prim.GetName(), part, emission
+        self._add(prim, prim.GetName(), geometry, tuple(surface.material for surface in found), self._place(prim))
+        for part, ((place, _), surface) in enumerate(zip(surfaces, found, strict=True)):
+            if surface.emission is not None:
+                self.glows[place] = prim.GetName(), part, surface.emission
 
     def texture_of(self, picture: Picture, mode: str) -> Texture:
         """Return the installed texture that a picture was copied from, else the one that the stage brought."""
@@ -93,10 +93,10 @@ class BodyReader:
         bright = [
             place
             for place, shader in surfaces
-            if read_material(self._path, shader, self.texture_of, has_uv=True)[1] is not None
+            if read_material(self._path, shader, self.texture_of, has_uv=True).emission is not None
         ]
         for place, light in zip(bright, shining, strict=False):
-            self.glows[place] = name, light.part, Emission(light.amount, light.unit, light.texture)
+            self.glows[place] = name, light.part, Emission(amount=light.amount, texture=light.texture)
 
     def _add(self, prim: Any, name: str, geometry: Geometry, materials: tuple[Material, ...], pose: Any) -> None:
         value = partial(get_own, prim)

@@ -17,6 +17,9 @@ from multilight.scenes.assets.formats.usd.lights import LightReader
 from multilight.scenes.assets.formats.usd.names import IMAGE
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.assets.packs.background import PACK
+from multilight.scenes.frozen import Rgb
+
+WHITE: Rgb = (1.0, 1.0, 1.0)
 
 
 def read_lights(
@@ -25,13 +28,13 @@ def read_lights(
     """Return the lights of these prims in order; `place` gives a prim's matrix (4, 4), world from prim."""
     brought = {} if library.background is None else {light.name: light.map for light in library.background.lights}
 
-    def keep_map(file: Any, prim: Any) -> str:
+    def keep_map(file: Any, prim: Any) -> tuple[str, Rgb]:
         asset = prim.GetAttribute(IMAGE).Get() if prim.HasAttribute(IMAGE) else None
         if asset is not None and bodies.is_installed(asset, Path(file.resolvedPath), environment=True):
-            return str(asset)
+            return str(asset), WHITE
         if brought.get(prim.GetName()) is None:
             raise UserError(f"{path}: the map {file.path!r} of {prim.GetPath()} cannot be read; put it there")
-        return f"{PACK}/{brought[prim.GetName()]}"
+        return f"{PACK}/{brought[prim.GetName()]}", WHITE
 
     reader = LightReader(path, keep_map)
     lights = [

@@ -6,13 +6,8 @@ Introduction to Radiometry and Photometry, 2nd ed., 2014, ch. 1 and 2.
 
 import math
 
-from multilight.scenes.colour import LUMINANCE_WEIGHTS
+from multilight.scenes.colour import LUMINANCE_WEIGHTS, LUMINOUS_EFFICACY
 from multilight.scenes.frozen import Rgb
-
-LUMINOUS_EFFICACY = 179.0
-"""lm/W of equal-energy white light over the visible range: the constant of the Radiance software (WHTEFFICACY in
-its color.h; G. Ward Larson and R. Shakespeare, Rendering with Radiance, 1998). One constant for every colour keeps
-photometric input proportional to Rec.709 luminance."""
 
 
 def watts_from_photometric(value: float) -> float:

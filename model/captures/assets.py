@@ -4,21 +4,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import trimesh
-from PIL import Image
 
 from multilight.datagen.errors import UserError
 from multilight.scenes.arrays import Float32, Float64
-from multilight.scenes.assets.formats.beside import load_scene
-from multilight.scenes.assets.formats.cleaning import Z_UP_FROM_Y_UP, clean_mesh, transformed
-from multilight.scenes.assets.formats.gltf import raw_part
-from multilight.scenes.assets.info import AssetError, unreadable
-from multilight.scenes.assets.library import AssetLibrary
-from multilight.scenes.assets.packs.folder import SUFFIXES
+from multilight.scenes.assets.cache import default_cache
+from multilight.scenes.assets.formats.cleaning import clean_mesh
+from multilight.scenes.assets.formats.intake import SUFFIXES, Intake
+from multilight.scenes.assets.library import AssetError, AssetLibrary
 from multilight.scenes.colour import srgb_decode
 from multilight.scenes.files.limits import open_picture
 from multilight.scenes.meshes import Mesh
-from multilight.scenes.spec import Texture
 
 
 @dataclass(frozen=True)
@@ -48,7 +43,7 @@ def check_asset(name: str) -> None:
 
 
 def load_asset(name: str) -> Asset:
-    """Load a GLB, glTF (Y-up) or OBJ (Y-up) file, or an asset of the library by its id `pack/name`.
+    """Load a model file of any format that is read, or an asset of the library by its id `pack/name`.
 
     Raises `UserError` naming the file and what is wrong with it, `AssetError` for one of the library.
     """
@@ -57,28 +52,25 @@ def load_asset(name: str) -> Asset:
         return _from_file(Path(name))
     library = AssetLibrary()
     mesh = library.mesh(name)
-    images = {texture.image for part in mesh.parts if (texture := part.material.base_color_texture) is not None}
-    return Asset(mesh, {image: _linear(open_picture(library.texture_path(image))) for image in images})
+    return Asset(mesh, {image: _linear(library.texture_path(image)) for image in _images(mesh)})
 
 
 def _from_file(path: Path) -> Asset:
-    textures: dict[str, Float32] = {}
-
-    def keep(image: Image.Image) -> Texture:
-        key = f"texture/{len(textures)}"
-        textures[key] = _linear(image)
-        return Texture(image=key)
-
+    intake = Intake(default_cache())
     try:
-        pieces = load_scene(path, path.parent).dump()
-        parts = [raw_part(piece, keep) for piece in pieces if isinstance(piece, trimesh.Trimesh)]
-        mesh = clean_mesh(transformed(parts, Z_UP_FROM_Y_UP))
-    except AssetError as error:
-        raise UserError(f"asset {error}") from None
-    except Exception as error:  # trimesh raises whatever a broken file makes it stumble over
-        raise UserError(f"asset {unreadable(path, error)}") from None
-    return Asset(mesh, textures)
+        found = intake.read(path, path.parent)
+        mesh = clean_mesh([part for node in found.nodes for part in node.parts])
+    except (AssetError, ValueError) as error:
+        said = str(error) if str(path) in str(error) else f"{path} {error}"
+        raise UserError(f"asset {said}") from None
+    pictures = {image: intake.picture(image, [(path, path.parent)]) for image in _images(mesh)}
+    return Asset(mesh, {image: _linear(picture) for image, picture in pictures.items() if picture is not None})
 
 
-def _linear(image: Image.Image) -> Float32:
-    return srgb_decode(np.asarray(image.convert("RGB"), np.float32) / 255.0).astype(np.float32)
+def _images(mesh: Mesh) -> set[str]:
+    return {texture.image for part in mesh.parts if (texture := part.material.base_color_texture) is not None}
+
+
+def _linear(path: Path) -> Float32:
+    with open_picture(path) as image:
+        return srgb_decode(np.asarray(image.convert("RGB"), np.float32) / 255.0).astype(np.float32)

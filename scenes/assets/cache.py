@@ -10,6 +10,7 @@ import os
 import shutil
 import sys
 from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 from typing import TypeVar
 
@@ -31,6 +32,17 @@ def default_cache() -> Path:
     if chosen := os.environ.get("MULTILIGHT_CACHE"):
         return Path(chosen).expanduser()
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "multilight"
+
+
+def check_cache() -> None:
+    """Raise `AssetError` where the cache cannot be written to."""
+    folder = default_cache()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with write_whole(folder / ".written") as work:
+            work.write_bytes(b"")
+    except OSError as error:
+        raise AssetError(f"the cache {folder} cannot be written: {error.strerror}; set MULTILIGHT_CACHE") from error
 
 
 def write_once(path: Path, write: Callable[[Path], None]) -> Path:
@@ -129,6 +141,21 @@ def sources_key(*files: str) -> str:
     for file in files:
         digest.update(Path(file).read_bytes())
     return digest.hexdigest()[:12]
+
+
+def file_digest(path: Path) -> str | None:
+    """Hash a file's content (64 hex digits); None where it is not there. Remembered while size and time stay."""
+    try:
+        state = path.stat()
+        return _digest(str(path), state.st_size, state.st_mtime_ns)
+    except OSError:
+        return None
+
+
+@lru_cache(maxsize=1 << 16)
+def _digest(path: str, size: int, time: int) -> str:
+    with open(path, "rb") as content:
+        return hashlib.file_digest(content, "sha256").hexdigest()
 
 
 def write_json(path: Path, value: object) -> None:

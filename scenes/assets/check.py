@@ -10,11 +10,12 @@ from multilight.scenes.assets.info import AssetError, AssetInfo, AssetRole
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.files.limits import open_picture
 from multilight.scenes.meshes import Mesh
-from multilight.scenes.spec import Material
+from multilight.scenes.spec import Material, Texture
 
 LARGEST = {"object": 3.0, "table": 6.0, "surrounding": 100.0}
 """Longest side [m] of what may pass for a model of each role."""
 MOST_FACES = 400_000
+MODELS: tuple[AssetRole, ...] = ("object", "table", "surrounding")
 
 
 def check_assets(library: AssetLibrary, pack: str | None = None) -> list[tuple[str, str]]:
@@ -28,10 +29,38 @@ def check_assets(library: AssetLibrary, pack: str | None = None) -> list[tuple[s
     ]
 
 
+def account(library: AssetLibrary, info: AssetInfo) -> list[str]:
+    """Say what was read of a user's model: its size, faces, materials and textures, what is not carried, what is odd.
+
+    Empty where it cannot be read.
+    """
+    if info.role not in MODELS:
+        return [f"{info.role}, {info.category}"]
+    try:
+        mesh = library.mesh(info.id)
+    except AssetError:
+        return []
+    materials = {part.material.canonical_json(): part.material for part in mesh.parts}.values()
+    x, y, z = mesh.bounds()[1] - mesh.bounds()[0]
+    faces, textures = sum(len(part.faces) for part in mesh.parts), {t for m in materials for t in textures_of(m)}
+    first = f"{info.role}, {info.category}: {x:.3g} x {y:.3g} x {z:.3g} m, {faces} faces, {len(materials)} materials, "
+    return [
+        f"{first}{len(textures)} textures",
+        *(f"  not carried: {note}" for note in library.notes(info.id)),
+        *(f"  odd: it {warning}" for warning in library.warnings(info.id)),
+    ]
+
+
+def textures_of(material: Material) -> list[str]:
+    """Return the asset ids of a material's textures."""
+    values = (getattr(material, name) for name in type(material).model_fields)
+    return sorted({value.image for value in values if isinstance(value, Texture)})
+
+
 def _problems(library: AssetLibrary, info: AssetInfo) -> Iterator[str]:
     try:
         match info.role:
-            case "object" | "table" | "surrounding":
+            case _ if info.role in MODELS:
                 yield from _mesh_problems(library, info, library.mesh(info.id))
             case "texture":
                 yield from _image_problems(library, info.id)
@@ -39,8 +68,6 @@ def _problems(library: AssetLibrary, info: AssetInfo) -> Iterator[str]:
                     yield from _image_problems(library, info.normal_map)
             case "environment":
                 image = read_environment(library.environment_path(info.id))
-                if image.shape[1] != 2 * image.shape[0]:
-                    yield f"is {image.shape[1]}x{image.shape[0]} pixels, expected twice as wide as high"
                 if image.min() < 0:
                     yield f"holds negative radiance {image.min():.3g}"
     except AssetError as error:
@@ -74,8 +101,7 @@ def _mesh_problems(library: AssetLibrary, info: AssetInfo, mesh: Mesh) -> Iterat
 
 
 def _material_problems(library: AssetLibrary, material: Material) -> Iterator[str]:
-    textures = (material.base_color_texture, material.roughness_texture, material.normal_texture)
-    for image in sorted({texture.image for texture in textures if texture is not None}):
+    for image in textures_of(material):
         yield from _image_problems(library, image)
 
 

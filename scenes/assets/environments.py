@@ -1,6 +1,7 @@
 """Environment maps: bpy's own and those of the npm package `@pmndrs/assets`, cleaned into the cache."""
 
 import base64
+import hashlib
 import importlib.util
 import re
 from dataclasses import dataclass
@@ -8,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import OpenEXR
+from numpy.typing import NDArray
 
 from multilight.scenes.arrays import Float32
 from multilight.scenes.assets.cache import write_once
@@ -78,19 +80,84 @@ def _infos(pack: str, maps: dict[str, _Map], names: list[str], prefix: str) -> l
 
 
 def read_environment(path: Path) -> Float32:
-    """Read an equirectangular EXR as (H, W, 3) float32; raises `AssetError` where it is broken or not finite."""
+    """Read an equirectangular EXR as (H, W, 3) float32; of luminance alone it is grey.
+
+    Raises `AssetError` where it is broken, not finite, black, or not twice as wide as high.
+    """
     try:
         _check_size(path)
         with OpenEXR.File(str(path), separate_channels=True) as file:
             channels = file.channels()
-            image = np.stack([channels[c].pixels for c in "RGB"], axis=-1).astype(np.float32)
+            names = "YYY" if "Y" in channels and "R" not in channels else "RGB"
+            image = np.stack([channels[c].pixels for c in names], axis=-1).astype(np.float32)
     except (OSError, RuntimeError, ValueError, KeyError, TypeError) as error:
         raise AssetError(f"{path} is not a readable RGB EXR file: {error}") from error
-    if not np.isfinite(image).all():
-        raise AssetError(f"{path} holds NaN or infinity")
-    if not image.max() > 0:
-        raise AssetError(f"{path} is black")
+    check_map(image, str(path))
     return image
+
+
+def read_hdr(data: bytes, name: str) -> Float32:
+    """Decode a Radiance picture (.hdr, RGBE), (H, W, 3) float32; raises `AssetError` with `name` where it is broken.
+
+    Source: G. Ward, "Real Pixels", Graphics Gems II, 1991; run lengths as in Radiance's color.c.
+    """
+    try:
+        start = data.index(b"\n\n") + 2
+        size = re.fullmatch(rb"-Y (\d+) \+X (\d+)", data[start : data.index(b"\n", start)])
+        if not data.startswith(b"#?") or size is None:
+            raise ValueError("its header is none that is read")
+        height, width = (int(v) for v in size.groups())
+        check_pixels(width, height)
+        rows, place = np.empty((height, 4, width), np.uint8), data.index(b"\n", start) + 1
+        for row in rows:
+            if data[place : place + 2] != b"\x02\x02" or width > 0x7FFF or width < 8:
+                row[:] = np.frombuffer(data, np.uint8, 4 * width, place).reshape(width, 4).T
+                place += 4 * width
+            else:
+                place = _runs(data, place + 4, row.reshape(-1), width)
+    except (ValueError, IndexError) as error:
+        raise AssetError(f"{name} is not a readable HDR picture ({error}); save it as EXR") from error
+    scale = np.ldexp(1.0, rows[:, 3].astype(np.int32) - 136)[..., None] * (rows[:, 3] > 0)[..., None]
+    return np.asarray((rows[:, :3].transpose(0, 2, 1) + 0.5) * scale, np.float32)
+
+
+def _runs(data: bytes, place: int, row: NDArray[np.uint8], width: int) -> int:
+    """Decode the run lengths of a line's four channels into `row`; returns the place behind them."""
+    filled = 0
+    while filled < 4 * width:
+        count = data[place]
+        if count > 128:  # so many of one value
+            count -= 128
+            row[filled : filled + count] = data[place + 1]
+            place += 2
+        else:
+            row[filled : filled + count] = np.frombuffer(data, np.uint8, count, place + 1)
+            place += 1 + count
+        filled += max(count, 1)
+    return place
+
+
+def check_map(image: Float32, name: str) -> None:
+    """Raise `AssetError` where (H, W, 3) is no map of a sky: not finite, black, or not twice as wide as high."""
+    if not np.isfinite(image).all():
+        raise AssetError(f"{name} holds NaN or infinity; repair it, or leave it out")
+    if not image.max() > 0:
+        raise AssetError(f"{name} is black; leave it out")
+    if image.shape[1] != 2 * image.shape[0]:
+        raise AssetError(
+            f"{name} is {image.shape[1]} x {image.shape[0]} pixels; a latitude-longitude map is twice as wide as high"
+        )
+
+
+def keep_map(image: Float32, name: str, folder: Path) -> str:
+    """Write a sky (H, W, 3) into `folder` under a name made of what it holds, which is returned.
+
+    Raises `AssetError` with `name` where it cannot serve.
+    """
+    check_map(image, name)
+    kept = f"sky-{hashlib.sha256(f'{image.shape}'.encode() + image.tobytes()).hexdigest()[:32]}"
+    write_once(folder / f"{kept}.exr", lambda path: _write_half(image, path))
+    return kept
 
 
 def _check_size(path: Path) -> None:
@@ -125,13 +192,14 @@ def without_negatives(image: Float32) -> Float32:
 def clean_copy(source: Path, target: Path) -> Path:
     """Write a non-negative half-float copy of an environment map, once."""
 
-    def write(path: Path) -> None:
-        image = np.clip(without_negatives(read_environment(source)), 0, LARGEST_HALF).astype(np.float16)
-        header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-        with OpenEXR.File(header, {"RGB": image}) as file:
-            file.write(str(path))
+    return write_once(target, lambda path: _write_half(read_environment(source), path))
 
-    return write_once(target, write)
+
+def _write_half(image: Float32, path: Path) -> None:
+    half = np.clip(without_negatives(image), 0, LARGEST_HALF).astype(np.float16)
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with OpenEXR.File(header, {"RGB": half}) as file:
+        file.write(str(path))
 
 
 def _bpy_folder() -> Path | None:

@@ -32,7 +32,8 @@ class AssetInfo:
     the stretch (x, y, 0) that one repeat of a texture covers. `place` names the real place of an environment
     map (splits go by place). `emissive_part` names the mesh part that may glow. `normal_map` is the id of the
     tangent-space normal map that goes with a texture (resolved by `AssetLibrary.texture_path`, +Y up), and
-    `roughness_map` that of its roughness map, whose mean is `scenes.assets.derived_maps.MEAN_ROUGHNESS`.
+    `roughness_map` that of its roughness map, whose mean is `scenes.assets.derived_maps.MEAN_ROUGHNESS`. What is
+    `as_made`, by a user, is not varied by scenes; its roughness and metallic maps hold the values themselves.
     """
 
     id: str
@@ -47,3 +48,5 @@ class AssetInfo:
     emissive_part: str | None = None
     normal_map: str | None = None
     roughness_map: str | None = None
+    metallic_map: str | None = None
+    as_made: bool = False

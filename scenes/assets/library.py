@@ -12,6 +12,7 @@ from multilight.scenes.assets.builtin.pack import BuiltinPack
 from multilight.scenes.assets.cache import default_cache, read_kept
 from multilight.scenes.assets.environments import PmndrsPack
 from multilight.scenes.assets.fetch import SOURCES, is_fetched, pack_folder, pack_record
+from multilight.scenes.assets.formats.scene_file import Note
 from multilight.scenes.assets.info import AssetError, AssetInfo, AssetRole
 from multilight.scenes.assets.packs.background import BackgroundPack
 from multilight.scenes.assets.packs.folder import FolderPack
@@ -47,10 +48,11 @@ class AssetLibrary:
     """All installed assets, in a fixed order.
 
     `cache` holds fetched packs and converted meshes (default: see `default_cache`).
-    `packs` are the names of the packs to use (default: `builtin` and every fetched one); `folders` are the
-    user's own folders of models, each a pack under its folder's name; `background` is a GLB, glTF or USD scene.
-    `broken` fills with what was asked for and could not be read: asset id → reason. Raises `AssetError` for a pack
-    or a background that is not there.
+    `packs` are the names of the packs to use (default: `builtin` and every fetched one); `folders` are the user's own
+    folders (or single models), each a pack under its name; `background` is a scene of any format. `only_own`: of what
+    is installed nothing is listed but what this program makes to set scenes in: backdrops, plinths, doors, gobos, skies
+    by formula. `broken` fills with what was asked for and could not be read: asset id → reason. Raises `AssetError` for
+    a pack or a background that is not there.
     """
 
     def __init__(
@@ -59,10 +61,14 @@ class AssetLibrary:
         packs: tuple[str, ...] | None = None,
         folders: tuple[Path, ...] = (),
         background: Path | None = None,
+        only_own: bool = False,
     ) -> None:
         self.cache = default_cache() if cache is None else Path(cache)
         self.broken: dict[str, str] = {}
+        self._only_own = only_own
         self.split: Split | None = None
+        if only_own:
+            packs = (BuiltinPack.name,)
         wanted = (BuiltinPack.name, *(n for n in SOURCES if is_fetched(n, self.cache))) if packs is None else packs
         self._packs: dict[str, Pack] = {name: _open(name, self.cache) for name in wanted}
         for folder in folders:
@@ -81,8 +87,14 @@ class AssetLibrary:
 
     @cached_property
     def _infos(self) -> dict[str, AssetInfo]:
-        infos = (info for pack in self._packs.values() for info in pack.infos())
+        infos = (info for pack in self._packs.values() for info in pack.infos() if not self._hidden(info))
         return {info.id: info for info in sorted(infos, key=lambda info: info.id)}
+
+    def _hidden(self, info: AssetInfo) -> bool:
+        """Tell whether an asset is not listed, where only the user's own are wanted."""
+        scenery = info.role == "surrounding" or info.category in ("gobo", "sky")
+        own = info.as_made or info.pack == BackgroundPack.name
+        return self._only_own and not own and not (info.pack == BuiltinPack.name and scenery)
 
     def restricted(self, split: Split) -> "AssetLibrary":
         """Return a view that lists, and hands out, only what scenes of a split may show (see `assets.splits`)."""
@@ -123,6 +135,15 @@ class AssetLibrary:
                 f"cannot write {path}: {error.strerror or error}; free some space or set MULTILIGHT_CACHE"
             ) from error
         return mesh
+
+    def notes(self, asset: str) -> tuple[Note, ...]:
+        """Return the account of what a model's file states and is not carried; raises `AssetError` where it is none."""
+        pack, name = self._pack(asset)
+        return tuple(pack.notes(name))
+
+    def warnings(self, asset: str) -> tuple[str, ...]:
+        """Say what is odd about a model, but no fault."""
+        return tuple(self._pack(asset)[0].warnings(self.info(asset)))
 
     def texture_path(self, image: str) -> Path:
         """Return the PNG or JPEG file of a texture, made on first use where it is procedural.

@@ -85,7 +85,8 @@ def asset_split(info: AssetInfo) -> Split | None:
     if fitting or info.role == "texture" or info.category in ("sky", "background"):
         return None
     key = KEYS[info.role]
-    whole_category = info.role == "object" and info.emissive_part is None
+    # "object" is what is known of no category: held out as a whole, it would take most of a user's models along.
+    whole_category = info.role == "object" and info.emissive_part is None and info.category != "object"
     identity = f"place {info.place}" if info.role == "environment" and info.place else f"asset {info.id}"
     group = f"category {info.category}" if whole_category else identity
     if _unit(f"{key} domain {group}") < ASSET_SHARES["test_ood"]:

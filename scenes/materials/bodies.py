@@ -40,8 +40,10 @@ def body_materials(
 
     Textures and distinct colours of the asset stay; roughness and coat vary within their class, about a map derived
     from the picture where the asset brings only colour; most plain grey parts get a new finish. Parts that share a
-    material keep sharing it. `glows` marks the part that the asset names as emissive.
+    material keep sharing it; a user's own stay as they are. `glows` marks the part that the asset names as emissive.
     """
+    if info.as_made:
+        return tuple(part.material for part in mesh.parts)
     drawn: dict[str, Material] = {}
     result = []
     for part in mesh.parts:

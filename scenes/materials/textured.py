@@ -20,6 +20,21 @@ def textured(rng: Rng, info: AssetInfo, finish: str, *, metres_per_uv: float = 1
     """
     width, height, _ = info.size or (1.0, 1.0, 0.0)
     repeat = (metres_per_uv / width, metres_per_uv / height)
+    if info.as_made:
+        maps = {
+            f"{name}_texture": Texture(image=image, repeat=repeat)
+            for name, image in (("roughness", info.roughness_map), ("metallic", info.metallic_map))
+            if image is not None
+        }
+        return Material(
+            name=info.category,
+            base_color=(1.0, 1.0, 1.0),
+            base_color_texture=Texture(image=info.id, repeat=repeat),
+            roughness=1.0 if info.roughness_map else 0.5,
+            metallic=1.0 if info.metallic_map else 0.0,
+            normal_texture=None if info.normal_map is None else Texture(image=info.normal_map, repeat=repeat),
+            **maps,
+        )
     normal = None if info.normal_map is None else Texture(image=info.normal_map, repeat=repeat)
     tint = rng.uniform(0.8, 1.0)
     material = sample_material(rng, finish, colour=(tint, tint, tint), name=info.category)

@@ -134,7 +134,9 @@ def _candidates(
     if lamp and lamps:
         return lamps
     plain = [info for info in left if with_unlit or info.emissive_part is None]
-    return unused([info for info in plain if _suits(info, len(chosen), insertable)], chosen)
+    suiting = [info for info in plain if _suits(info, len(chosen), insertable)]
+    # A user's own may hold nothing tall, or nothing small.
+    return unused(suiting or [info for info in plain if info.as_made and _is_insertable(info)], chosen)
 
 
 def _size(info: AssetInfo) -> Size:

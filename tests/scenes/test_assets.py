@@ -362,7 +362,7 @@ def test_folder_without_a_table_and_wrong_units(folder: Path, tmp_path: Path) ->
     (folder / "assets.csv").unlink()
     trimesh.creation.box((900, 900, 900)).export(folder / "huge.obj")
     library = AssetLibrary(tmp_path / "cache", packs=("builtin",), folders=(folder,))
-    assert {i.id for i in library.list("object") if i.pack == "My Things"} == {
+    assert {i.id for r in ("object", "surrounding") for i in library.list(r) if i.pack == "My Things"} == {
         "My Things/box",
         "My Things/broken",
         "My Things/huge",

@@ -160,16 +160,17 @@ def test_a_converted_background_is_made_anew(tmp_path: Path, capsys: pytest.Capt
     wanted = {info.id: library.mesh(info.id).sha256() for info in library.list("surrounding") if "bg_" in info.id}
     (converted,) = (folder / "backgrounds").iterdir()
     assert wanted
-    for kind in ("index.json", "*.npz", "*.png"):
+    pictures = folder / "textures" / "imported"
+    for place, kind in ((converted, "index.json"), (converted, "*.npz"), (pictures, "*.png")):
         for damage in ("cut", "empty", "npy", "text", "folder"):
-            path = next(converted.glob(kind))
+            path = next(place.glob(kind))
             whole = path.read_bytes()
             DAMAGES[damage](path)
             shutil.rmtree(folder / "meshes")
             cache._sound.clear()
             again = AssetLibrary(folder, packs=("builtin",), background=glb)
             assert {asset: again.mesh(asset).sha256() for asset in wanted} == wanted
-            for texture in (f"background/texture-{png.stem}" for png in converted.glob("*.png")):
+            for texture in (f"background/{png.stem}" for png in pictures.glob("*.png")):
                 again.texture_path(texture)
             assert path.suffix == ".npz" or path.read_bytes() == whole
             cache.tell_thrown_away()

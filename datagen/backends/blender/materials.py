@@ -5,7 +5,7 @@ from typing import Any
 
 import bpy
 
-from multilight.datagen.backends.blender.meshes import UV_LAYER
+from multilight.datagen.backends.blender.meshes import COLORS, UV_LAYER
 from multilight.datagen.backends.blender.nodes import empty_tree, maths, node
 from multilight.datagen.backends.protocol import BackendError
 from multilight.lights.spec import EmissiveLight
@@ -22,31 +22,39 @@ class Materials:
 
     def __init__(self, library: AssetLibrary) -> None:
         self._library = library
-        self._made: dict[tuple[Material, EmissiveLight | None], bpy.types.Material] = {}
+        self._made: dict[tuple[Material, EmissiveLight | None, bool], bpy.types.Material] = {}
         self._images: dict[tuple[str, str], bpy.types.Image] = {}
 
-    def get(self, material: Material, emission: EmissiveLight | None = None) -> bpy.types.Material:
-        """Return the shader; the radiance of `emission` is added to what the surface reflects."""
-        key = (material, emission)
+    def get(
+        self, material: Material, emission: EmissiveLight | None = None, *, coloured: bool = False
+    ) -> bpy.types.Material:
+        """Return the shader; the radiance of `emission` is added to what the surface reflects.
+
+        `coloured`: the mesh's vertex colours multiply the base colour.
+        """
+        key = (material, emission, coloured)
         if key not in self._made:
-            self._made[key] = self._build(material, emission)
+            self._made[key] = self._build(*key)
         return self._made[key]
 
-    def _build(self, material: Material, emission: EmissiveLight | None) -> bpy.types.Material:
+    def _build(self, material: Material, emission: EmissiveLight | None, coloured: bool) -> bpy.types.Material:
         made = bpy.data.materials.new(material.name)
         tree = empty_tree(made)
         color, alpha = self._base_color(tree, material)
-        roughness: Any = material.roughness
-        if material.roughness_texture is not None:
-            texture = self._texture(tree, material.roughness_texture, "Non-Color")
-            roughness = maths(tree, "MULTIPLY", texture.outputs["Color"], material.roughness)
+        if coloured:
+            vertex = node(tree, "ShaderNodeVertexColor", {})
+            vertex.layer_name = COLORS
+            tinted = {0: vertex.outputs["Color"], 1: color}
+            color = node(tree, "ShaderNodeVectorMath", tinted, "MULTIPLY").outputs["Vector"]
+        roughness = self._number(tree, material.roughness, material.roughness_texture)
+        metallic = self._number(tree, material.metallic, material.metallic_texture)
         surface = node(
             tree,
             "ShaderNodeBsdfPrincipled",
             {
                 "Base Color": color,
                 "Roughness": roughness,
-                "Metallic": material.metallic,
+                "Metallic": metallic,
                 "IOR": material.ior,
                 "Alpha": alpha,
                 "Coat Weight": material.coat,
@@ -64,8 +72,13 @@ class Materials:
             shader = _add_emission(tree, shader, self._glow(tree, emission), alpha)
             made.cycles.emission_sampling = "FRONT_BACK"
         node(tree, "ShaderNodeOutputMaterial", {"Surface": shader})
-        _write_aovs(tree, color, (roughness, material.metallic), alpha)
+        _write_aovs(tree, color, (roughness, metallic), alpha)
         return made
+
+    def _number(self, tree: Any, value: float, texture: Texture | None) -> Any:
+        if texture is None:
+            return value
+        return maths(tree, "MULTIPLY", self._texture(tree, texture, "Non-Color").outputs["Color"], value)
 
     def _base_color(self, tree: Any, material: Material) -> tuple[Any, Any]:
         if material.base_color_texture is None:
@@ -75,6 +88,8 @@ class Materials:
         alpha: Any = material.opacity
         if material.opacity_from_alpha:
             alpha = maths(tree, "MULTIPLY", texture.outputs["Alpha"], material.opacity)
+            if material.alpha_cutoff:
+                alpha = maths(tree, "SUBTRACT", 1.0, maths(tree, "LESS_THAN", alpha, material.alpha_cutoff))
         return color.outputs["Vector"], alpha
 
     def _glow(self, tree: Any, light: EmissiveLight) -> Any:
@@ -93,7 +108,7 @@ class Materials:
         if key not in self._images:
             self._images[key] = load_image(self._library.texture_path(texture.image), colour_space)
         picture.image = self._images[key]
-        picture.extension = "REPEAT"
+        picture.extension = {"repeat": "REPEAT", "clamp": "EXTEND", "mirror": "MIRROR"}[texture.wrap]
         return picture
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from multilight.scenes.meshes import MeshPart
 from multilight.scenes.spec import Rectangle
 
-UV_LAYER = "uv"
+UV_LAYER, COLORS = "uv", "colors"
 
 
 def mesh_from_parts(name: str, parts: Sequence[MeshPart]) -> bpy.types.Mesh:
@@ -20,6 +20,11 @@ def mesh_from_parts(name: str, parts: Sequence[MeshPart]) -> bpy.types.Mesh:
     vertices = np.concatenate([part.vertices for part in parts])
     mesh = _triangles(name, vertices, faces, np.concatenate([part.uv for part in parts]))
     mesh.polygons.foreach_set("material_index", slots)
+    if any(part.colors is not None for part in parts):
+        white = (np.ones((len(p.vertices), 3), np.float32) if p.colors is None else p.colors for p in parts)
+        colors = np.concatenate(list(white))
+        rgba = np.concatenate([colors, np.ones((len(colors), 1), np.float32)], axis=1)
+        mesh.color_attributes.new(COLORS, "FLOAT_COLOR", "POINT").data.foreach_set("color", rgba.ravel())
     mesh.normals_split_custom_set_from_vertices(np.concatenate([part.normals for part in parts]))
     return mesh
 

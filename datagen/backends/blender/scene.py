@@ -65,7 +65,8 @@ class SyncedScene:
         scale = body.geometry.radius if isinstance(body.geometry, Sphere) else 1.0
         placed.matrix_world = Matrix(body.world_from_body) @ Matrix.Diagonal((scale, scale, scale, 1.0))
         for slot, part in enumerate(parts):
-            shader = self._materials.get(body.materials[part], light)
+            coloured = meshes.COLORS in placed.data.color_attributes
+            shader = self._materials.get(body.materials[part], light, coloured=coloured)
             # Slots belong to the object, so that bodies may share a mesh and yet differ in material.
             placed.material_slots[slot].link = "OBJECT"
             placed.material_slots[slot].material = shader

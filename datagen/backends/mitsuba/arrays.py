@@ -25,9 +25,10 @@ NONE = 0xFFFFFFFF
 VALUES = np.dtype([
     ("base_color", np.float32, 3), ("opacity", np.float32),
     ("roughness", np.float32), ("metallic", np.float32), ("ior", np.float32), ("coat", np.float32),
-    ("coat_roughness", np.float32), ("transmission", np.float32), ("unused", np.float32, 2),
+    ("coat_roughness", np.float32), ("transmission", np.float32), ("metallic_repeat", np.float32, 2),
     ("base_color_repeat", np.float32, 2), ("roughness_repeat", np.float32, 2),
     ("normal_repeat", np.float32, 2), ("glow_repeat", np.float32, 2),
+    ("alpha_cutoff", np.float32), ("unused", np.float32, 3),
 ])  # fmt: skip
 """A surface's numbers. The device reads them four at a time, a line each; so no column may lie in two lines."""
 LINKS = np.dtype([
@@ -35,8 +36,14 @@ LINKS = np.dtype([
     ("roughness_texture", np.uint32, 3), ("opacity_from_alpha", np.uint32),
     ("normal_texture", np.uint32, 3), ("glow", np.uint32),
     ("glow_texture", np.uint32, 3), ("unused", np.uint32),
+    ("metallic_texture", np.uint32, 3), ("unused_too", np.uint32),
 ])  # fmt: skip
-"""What a surface refers to: offset, width and height of textures in `texels`, its body's number from 1, its light's."""
+"""What a surface refers to: offset, width and height of textures in `texels`, its body's number from 1, its light's.
+
+The two highest bits of a width say what lies beyond the picture: the number in `WRAPS`.
+"""
+WRAPS = ("repeat", "clamp", "mirror")
+WRAP_BIT = 30
 
 
 @dataclass(frozen=True)
@@ -44,11 +51,13 @@ class SceneArrays:
     """Triangles and surfaces.
 
     vertices (V, 8) float32: position [m], shading normal, uv; faces (F, 4) uint32: three vertices and the surface's
-    row; faces of a body lie together, `spans` holds (first, count) by body. values (R,) of `VALUES` and links (R,) of
-    `LINKS`: a row a surface. texels uint32 RGBA8, all textures end to end.
+    row; colors (V, 3) float32 multiply the base colour, None where no part has any; faces of a body lie together,
+    `spans` holds (first, count) by body. values (R,) of `VALUES` and links (R,) of `LINKS`: a row a surface. texels
+    uint32 RGBA8, all textures end to end.
     """
 
     vertices: Float32
+    colors: Float32 | None
     faces: UInt32
     spans: dict[str, tuple[int, int]]
     values: NDArray[np.void]
@@ -104,6 +113,8 @@ def scene_arrays(scene: SceneSpec, rig: LightRig, library: AssetLibrary, texture
     glowing = glowing_parts(scene, rig)
     atlas = _Atlas(textures)
     vertices: list[Float32] = []
+    colors: list[Float32] = []
+    coloured = False
     faces: list[UInt32] = []
     values, links = np.zeros(len(materials), VALUES), np.zeros(len(materials), LINKS)
     spans: dict[str, tuple[int, int]] = {}
@@ -116,6 +127,8 @@ def scene_arrays(scene: SceneSpec, rig: LightRig, library: AssetLibrary, texture
             links[row]["body"] = number
             links[row]["glow"] = NONE if light is None else rig.names.index(light.name)
             vertices.append(_placed(mesh, np.array(body.world_from_body)))
+            coloured |= mesh.colors is not None
+            colors.append(np.ones((len(mesh.vertices), 3), np.float32) if mesh.colors is None else mesh.colors)
             surface = np.full((len(mesh.faces), 1), row, np.uint32)
             faces.append(np.concatenate([mesh.faces.astype(np.uint32) + np.uint32(vertex), surface], axis=1))
             vertex += len(mesh.vertices)
@@ -124,6 +137,7 @@ def scene_arrays(scene: SceneSpec, rig: LightRig, library: AssetLibrary, texture
         spans[body.name] = (first, face - first)
     return SceneArrays(
         vertices=np.concatenate(vertices),
+        colors=np.concatenate(colors) if coloured else None,
         faces=np.concatenate(faces),
         spans=spans,
         values=values,
@@ -160,7 +174,8 @@ class _Atlas:
             self._placed[texture.image] = (self._end, words.shape[1], words.shape[0])
             self._words.append(words.ravel())
             self._end += words.size
-        return self._placed[texture.image]
+        offset, width, height = self._placed[texture.image]
+        return offset, width | WRAPS.index(texture.wrap) << WRAP_BIT, height
 
     def words(self) -> UInt32:
         return np.concatenate(self._words)
@@ -170,12 +185,14 @@ def _write_surface(
     values: np.void, links: np.void, material: Material, light: EmissiveLight | None, atlas: _Atlas
 ) -> None:
     """Fill a surface's row in with its material, and with the picture that it glows in."""
-    for name in ("base_color", "opacity", "roughness", "metallic", "ior", "coat", "coat_roughness", "transmission"):
+    numbers = ("opacity", "roughness", "metallic", "ior", "coat", "coat_roughness", "transmission", "alpha_cutoff")
+    for name in ("base_color", *numbers):
         values[name] = getattr(material, name)
     links["opacity_from_alpha"] = material.opacity_from_alpha
     textures = {
         "base_color": material.base_color_texture,
         "roughness": material.roughness_texture,
+        "metallic": material.metallic_texture,
         "normal": material.normal_texture,
         "glow": None if light is None else light.texture,
     }

@@ -7,7 +7,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from multilight.datagen.backends.mitsuba.arrays import NONE, SceneArrays
+from multilight.datagen.backends.mitsuba.arrays import NONE, WRAP_BIT, SceneArrays
 from multilight.datagen.backends.mitsuba.device import Row, Table, on_device
 from multilight.scenes.arrays import Mask
 
@@ -46,6 +46,7 @@ class Surfaces:
 
     def __init__(self, arrays: SceneArrays) -> None:
         self._vertices = on_device(mi.Float, arrays.vertices)
+        self._colors = None if arrays.colors is None else on_device(mi.Float, arrays.colors)
         self._faces = on_device(mi.UInt32, arrays.faces)
         self._values, self._links = Table(mi.Float, arrays.values), Table(mi.UInt32, arrays.links)
         self._texels = on_device(mi.UInt32, arrays.texels)
@@ -62,6 +63,9 @@ class Surfaces:
         row = self._row(number, active)
         colour, alpha = self._texture(row, "base_color", uv, active, srgb=True)
         grey, _ = self._texture(row, "roughness", uv, active)
+        metal, _ = self._texture(row, "metallic", uv, active)
+        if self._colors is not None:
+            colour *= mi.Color3f(_blend(barycentric, self._vertex_colors(face, active)))
         ns = self._bumped(row, uv, ns, points, uvs, active)
         flip = dr.select(inside, mi.Float(-1), mi.Float(1))
         return Hit(
@@ -76,7 +80,7 @@ class Surfaces:
             base=mi.Color3f(row["base_color"]) * colour,
             opacity=_opacity(row, alpha),
             roughness=row["roughness"] * grey.x,
-            metallic=row["metallic"],
+            metallic=row["metallic"] * metal.x,
             ior=row["ior"],
             coat=row["coat"],
             coat_roughness=row["coat_roughness"],
@@ -112,6 +116,11 @@ class Surfaces:
         corner = dr.gather(mi.Vector4u, self._faces, face, active)
         return corner[3], zip(*(self._vertex(corner[i], active) for i in range(3)), strict=True)
 
+    def _vertex_colors(self, face: mi.UInt32, active: mi.Bool) -> Corners:
+        corner = dr.gather(mi.Vector4u, self._faces, face, active)
+        a, b, c = (dr.gather(mi.Vector3f, self._colors, corner[i], active) for i in range(3))
+        return a, b, c
+
     def _vertex(self, index: mi.UInt32, active: mi.Bool) -> tuple[mi.Vector3f, mi.Vector3f, mi.Vector2f]:
         a = dr.gather(mi.Vector4f, self._vertices, index * 2, active)
         b = dr.gather(mi.Vector4f, self._vertices, index * 2 + 1, active)
@@ -123,22 +132,24 @@ class Surfaces:
     def _texture(
         self, row: Row, name: str, uv: mi.Point2f, active: mi.Bool, *, srgb: bool = False
     ) -> tuple[mi.Color3f, mi.Float]:
-        """Interpolate a repeating texture; white and opaque where there is none.
+        """Interpolate a texture; white and opaque where there is none.
 
         Encoded values are interpolated and then decoded, as Cycles does with 8-bit files.
         """
         offset, columns, lines = row[f"{name}_texture"]
+        wrap, columns = columns >> WRAP_BIT, columns & ((1 << WRAP_BIT) - 1)
         uv = uv * mi.Vector2f(row[f"{name}_repeat"])
         there = active & (offset != NONE)
         width, height = mi.Float(columns), mi.Float(lines)
-        x = (uv.x - dr.floor(uv.x)) * width - 0.5
-        y = (1 - (uv.y - dr.floor(uv.y))) * height - 0.5
+        x = _within(uv.x, wrap) * width - 0.5
+        y = (1 - _within(uv.y, wrap)) * height - 0.5
         x0, y0 = dr.floor(x), dr.floor(y)
         fx, fy = x - x0, y - y0
-        left = mi.UInt32(dr.select(x0 < 0, width - 1, x0))
-        top = mi.UInt32(dr.select(y0 < 0, height - 1, y0))
-        right = dr.select(left + 1 >= columns, 0, left + 1)
-        bottom = dr.select(top + 1 >= lines, 0, top + 1)
+        again = wrap == 0  # beyond its edge a picture that repeats goes on with its other edge, others with this one
+        left = mi.UInt32(dr.select(x0 < 0, dr.select(again, width - 1, 0), x0))
+        top = mi.UInt32(dr.select(y0 < 0, dr.select(again, height - 1, 0), y0))
+        right = dr.select(x0 < 0, 0, dr.select(left + 1 >= columns, dr.select(again, 0, left), left + 1))
+        bottom = dr.select(y0 < 0, 0, dr.select(top + 1 >= lines, dr.select(again, 0, top), top + 1))
         total = mi.Vector4f(0)
         corners = ((left, top, (1 - fx) * (1 - fy)), (right, top, fx * (1 - fy)),
                    (left, bottom, (1 - fx) * fy), (right, bottom, fx * fy))  # fmt: skip
@@ -170,6 +181,12 @@ class Surfaces:
         return mi.Normal3f(dr.select(usable, bumped, ns))
 
 
+def _within(t: mi.Float, wrap: mi.UInt32) -> mi.Float:
+    """Bring a coordinate into [0, 1]: repeated, clamped or mirrored."""
+    mirrored = 1 - dr.abs(t - 2 * dr.floor(t / 2) - 1)
+    return dr.select(wrap == 0, t - dr.floor(t), dr.select(wrap == 1, dr.clip(t, 0, 1), mirrored))
+
+
 def _blend(barycentric: mi.Point2f, corners: Corners) -> Any:
     """Interpolate what a triangle's corners carry."""
     a, b, c = corners
@@ -183,7 +200,9 @@ def _normal(points: Corners) -> mi.Normal3f:
 
 
 def _opacity(row: Row, alpha: mi.Float) -> mi.Float:
-    return row["opacity"] * dr.select(row["opacity_from_alpha"] != 0, alpha, 1)
+    opacity = row["opacity"] * dr.select(row["opacity_from_alpha"] != 0, alpha, 1)
+    cutoff = row["alpha_cutoff"]
+    return dr.select(cutoff > 0, dr.select(opacity >= cutoff, mi.Float(1), mi.Float(0)), opacity)
 
 
 def _linear_from_srgb(c: mi.Color3f) -> mi.Color3f:

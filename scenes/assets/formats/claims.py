@@ -1,6 +1,6 @@
 """What model files (GLB, glTF, OBJ) claim to hold, held against what is in them and what is read.
 
-trimesh believes a file's counts, follows every placing of a node, and leaves out in silence the pictures that fail.
+Importers believe a file's counts, follow every placing of a node, and leave out in silence what they do not know.
 """
 
 import base64
@@ -12,6 +12,9 @@ from pathlib import Path
 from typing import Any, BinaryIO
 from urllib.parse import unquote
 
+from PIL import UnidentifiedImageError
+
+from multilight.scenes.assets.formats.scene_file import Note
 from multilight.scenes.assets.info import AssetError, unreadable
 from multilight.scenes.files.inside import OutsideError, inside
 from multilight.scenes.files.limits import (
@@ -34,22 +37,38 @@ _NUMBERS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, 
 _STRIP = 5
 """glTF's mode of primitives whose every corner makes a triangle."""
 
+READ = {
+    "KHR_draco_mesh_compression", "KHR_lights_punctual", "KHR_materials_clearcoat", "KHR_materials_emissive_strength",
+    "KHR_materials_ior", "KHR_materials_pbrSpecularGlossiness", "KHR_materials_specular",
+    "KHR_materials_transmission", "KHR_materials_unlit", "KHR_mesh_quantization", "KHR_texture_transform",
+    "EXT_mesh_gpu_instancing", "EXT_texture_webp", "KHR_materials_anisotropy", "KHR_materials_sheen",
+}  # fmt: skip
+"""Extensions of glTF that are read, or named where a material uses them."""
+LEFT_OUT = {
+    "KHR_animation_pointer": "it stands as at rest", "KHR_materials_variants": "the first variant is shown",
+    "KHR_materials_volume": "what it encloses is clear",
+}  # fmt: skip
+"""Extensions that a file may require, and what happens instead."""
 Header = dict[str, Any]
 
 
-def check_model(path: Path, folder: Path) -> None:
+def check_model(path: Path, folder: Path) -> tuple[set[Path], list[Note], str]:
     """Check a GLB, glTF or OBJ file, and what it names inside `folder`, before it is loaded.
 
-    Raises `AssetError` in one line with the file, what is too much in it or wrong, and the remedy.
+    Returns the files that it names, what of it is not read, and what wrote it (of OBJ: its MTL's key words). Raises
+    `AssetError` in one line with the file, what is too much in it or wrong, and the remedy.
     """
+    files, notes, generator = set[Path](), list[Note](), ""
     try:
         if path.suffix.lower() == ".obj":
-            _check_obj(path, folder)
-        else:
+            generator = _check_obj(path, folder, files, notes)
+        elif path.suffix.lower() in (".glb", ".gltf"):
             header, within = read_header(path)
+            generator = str(header.get("asset", {}).get("generator", ""))
+            _check_extensions(header, notes)
             _check_counts(header)
             _check_tree(header)
-            _check_pictures(path, folder, header, within)
+            _check_pictures(path, folder, header, within, files)
     except AssetError:
         raise
     except OutsideError as error:
@@ -60,12 +79,7 @@ def check_model(path: Path, folder: Path) -> None:
         raise AssetError(f"{path}: {error}") from error
     except Exception as error:  # whatever a broken header makes the above stumble over
         raise unreadable(path, error) from error
-
-
-def check_placed(scene: Any) -> None:
-    """Raise `LimitError` where trimesh's scene has too many triangles, each placing of a mesh counted."""
-    placed = (scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry)
-    check_triangles(sum(len(getattr(mesh, "faces", ())) for mesh in placed))
+    return files, notes, generator
 
 
 def check_triangles(count: int) -> None:
@@ -92,6 +106,21 @@ def read_header(path: Path) -> tuple[Header, bytes]:
     except (ValueError, struct.error) as error:
         raise unreadable(path, error) from error
     return header, within
+
+
+def _check_extensions(header: Header, notes: list[Note]) -> None:
+    """Refuse extensions that a file cannot be shown without, and name others that are not read."""
+    for extension in header.get("extensionsRequired", []):
+        if extension not in READ | LEFT_OUT.keys():
+            raise LimitError(f"it needs {extension}, which is not read; export it without compression and extensions")
+    for extension in header.get("extensionsUsed", []):
+        if extension not in READ:
+            what = LEFT_OUT.get(extension, "it is left out")
+            notes.append(Note(place="file", feature=extension, instead=what, remedy="export it without"))
+    if any("occlusionTexture" in material for material in header.get("materials", [])):
+        notes.append(Note(place="file", feature="occlusion maps", instead="shadows are computed", remedy="none needed"))
+    if header.get("animations"):
+        notes.append(Note(place="file", feature="animations", instead="it stands as at rest", remedy="bake a pose"))
 
 
 def _check_counts(header: Header) -> None:
@@ -144,13 +173,21 @@ def _triangles(header: Header, mesh: Header) -> int:
     return total
 
 
-def _check_pictures(path: Path, folder: Path, header: Header, within: bytes) -> None:
-    """Refuse textures that cannot be opened, by name."""
-    content = cache(lambda uri: within if uri is None else _content(path, folder, uri))
+def _check_pictures(path: Path, folder: Path, header: Header, within: bytes, files: set[Path]) -> None:
+    """Refuse buffers that are missing and textures that cannot be opened, by name."""
     images = header.get("images", [])
+    for entry in (*images, *header.get("buffers", [])):
+        if not str(entry.get("uri", "data:")).startswith("data:"):
+            files.add(inside(folder, unquote(entry["uri"]), beside=path.parent))
+    content = cache(lambda uri: within if uri is None else _content(path, folder, uri))
     for number in sorted({texture["source"] for texture in header.get("textures", []) if "source" in texture}):
         image = images[number]
         if "uri" in image:
+            if (
+                not image["uri"].startswith("data:")
+                and not inside(folder, unquote(image["uri"]), beside=path.parent).exists()
+            ):
+                continue  # looked for near by, and else named, where it is used
             data = content(image["uri"])
         else:
             view = header["bufferViews"][image["bufferView"]]
@@ -162,26 +199,62 @@ def _check_pictures(path: Path, folder: Path, header: Header, within: bytes) -> 
 def _content(path: Path, folder: Path, uri: str) -> bytes:
     if uri.startswith("data:"):
         return base64.b64decode(uri.partition(",")[2])
-    return read_bytes(inside(folder, unquote(uri), beside=path.parent))
+    file = inside(folder, unquote(uri), beside=path.parent)
+    if not file.exists():
+        raise AssetError(f"{path} names {uri!r}, which is missing; put it beside the file, or export as GLB")
+    return read_bytes(file)
 
 
 def _check_picture(path: Path, picture: Path | BinaryIO, name: str) -> None:
     try:
         open_picture(picture).close()
     except (OSError, ValueError) as error:
-        raise AssetError(f"{path}: its texture {name!r} cannot be read ({error}); save it as PNG") from error
+        reason = "it is no picture, or cut short" if isinstance(error, UnidentifiedImageError) else error
+        raise AssetError(f"{path}: its texture {name!r} cannot be read ({reason}); save it as PNG") from error
 
 
-def _check_obj(path: Path, folder: Path) -> None:
-    """Refuse pictures of an OBJ file's materials that cannot be opened; those that are missing are left out."""
-    for library in _files("mtllib", path, path, folder):
-        for picture in _files("map_Kd", library, path, folder):
-            _check_picture(path, picture, picture.name)
+def _check_obj(path: Path, folder: Path, files: set[Path], notes: list[Note]) -> str:
+    """Refuse pictures of an OBJ file's materials that cannot be opened, or lie elsewhere; name a missing library.
+
+    Returns the key words of its materials.
+    """
+    words = set[bytes]()
+    for named in files_behind("mtllib", path, path, folder):
+        library = other_case(named)
+        if not library.exists() and path.with_suffix(".mtl").exists():
+            library = path.with_suffix(".mtl")  # as importers do
+        files |= {named, library}
+        if library.name != named.name:
+            what, instead = "it is not there", f"{library.name} is taken"
+            notes.append(Note(place=named.name, feature=what, instead=instead, remedy="name it in the OBJ file"))
+        elif not library.exists():
+            what = "its materials are plain and matte"
+            notes.append(Note(place=named.name, feature="it is missing", instead=what, remedy="put it beside it"))
+            continue
+        words |= set(re.findall(rb"^[ \t]*(\w+)", read_bytes(library, MOST_JSON), re.MULTILINE))
+        for picture in files_behind("(?:map_|norm|bump|disp|refl)[a-z]*", library, path, folder):
+            files.add(picture)
+            if picture.exists():
+                _check_picture(path, picture, picture.name)
+    return b" ".join(sorted(words)).decode("ascii", "replace")
 
 
-def _files(key: str, text: Path, path: Path, folder: Path) -> list[Path]:
-    """Return the files behind a key word that are there; MTL files of other systems have backslashes."""
+def other_case(file: Path) -> Path:
+    """Return a file as it is, or the one beside it whose name differs in case alone."""
+    if file.exists() or not file.parent.is_dir():
+        return file
+    same = (other for other in sorted(file.parent.iterdir()) if other.name.casefold() == file.name.casefold())
+    return next(same, file)
+
+
+_OPTIONS = re.compile(r"^(?:-(?:blendu|blendv|boost|cc|clamp|imfchan|texres|type|bm)\s+\S+\s+|-mm\s+\S+\s+\S+\s+|"
+                      r"-[ost]\s+[-+.\deE]+\s+(?:[-+.\deE]+\s+){0,2})+")  # fmt: skip
+"""What may stand before the name of a picture in an MTL file."""
+
+
+def files_behind(key: str, text: Path, path: Path, folder: Path) -> list[Path]:
+    """Return the files behind a key word; MTL files of other systems have backslashes."""
     found = re.findall(rf"^[ \t]*{key}[ \t]+(.*\S)".encode(), read_bytes(text, MOST_JSON), re.MULTILINE | re.IGNORECASE)
-    names = {name.decode("utf-8", "surrogateescape").replace("\\", "/") for name in found}
-    files = [inside(folder, name, beside=path.parent) for name in sorted(names)]
-    return [file for file in files if file.exists()]
+    names = {_OPTIONS.sub("", name.decode("utf-8", "surrogateescape")).replace("\\", "/") for name in found}
+    drive = re.compile("^[A-Za-z]:/")  # of the machine that it was made on: looked for near by
+    return [inside(folder, name, beside=path.parent) for name in sorted(names) if not drive.match(name)]

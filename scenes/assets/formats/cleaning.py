@@ -21,13 +21,17 @@ MOST_UV = 1000.0
 
 @dataclass(frozen=True)
 class RawPart:
-    """Triangles of one material as a file gives them: vertices (V, 3), faces (F, 3), normals (V, 3), uv (V, 2)."""
+    """Triangles of one material as a file gives them: vertices (V, 3), faces (F, 3), normals (V, 3), uv (V, 2).
+
+    colors (V, 3) are linear, and multiply the base colour.
+    """
 
     material: Material
     vertices: Float64
     faces: Int64
     normals: Float64 | None
     uv: Float64 | None
+    colors: Float64 | None = None
 
 
 def transformed(parts: list[RawPart], matrix: Float64) -> list[RawPart]:
@@ -95,7 +99,8 @@ def _clean(part: RawPart, size: float, turn_out: bool) -> MeshPart | None:
     uv = np.zeros((len(part.vertices), 2)) if part.uv is None else np.nan_to_num(part.uv)
     # Some files hold rubbish such as 3e9 here, which makes renderers read outside of their textures.
     uv = np.where(np.abs(uv) <= MOST_UV, uv, 0.0)
-    return _indexed(part.material, part.vertices[faces], corner_normals, uv[faces])
+    colors = () if part.colors is None else (np.clip(np.nan_to_num(part.colors), 0, 1)[faces],)
+    return _indexed(part.material, part.vertices[faces], corner_normals, uv[faces], *colors)
 
 
 def _weld(vertices: Float64, tolerance: float) -> tuple[Float64, Int64]:
@@ -171,9 +176,10 @@ def _corner_angles(corners: Float64) -> Float64:
     return np.arccos(np.clip(cosine, -1, 1))
 
 
-def _indexed(material: Material, points: Float64, normals: Float64, uv: Float64) -> MeshPart:
-    """Share the corners (F, 3, ...) that are equal in place, normal and uv."""
-    table = np.concatenate([points, normals, uv], axis=-1).reshape(-1, 8).astype(np.float32)
+def _indexed(material: Material, points: Float64, normals: Float64, uv: Float64, *colors: Float64) -> MeshPart:
+    """Share the corners (F, 3, ...) that are equal in place, normal, uv and colour."""
+    table = np.concatenate([points, normals, uv, *colors], axis=-1).astype(np.float32)
+    table = table.reshape(-1, table.shape[-1])
     keys = np.concatenate([table[:, :3], np.round(table[:, 3:6], 3), table[:, 6:]], axis=1) + np.float32(0)
     _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     table = table[first]
@@ -182,6 +188,7 @@ def _indexed(material: Material, points: Float64, normals: Float64, uv: Float64)
         vertices=np.ascontiguousarray(table[:, :3]),
         faces=inverse.reshape(-1, 3).astype(np.int32),
         normals=np.ascontiguousarray(table[:, 3:6]),
-        uv=np.ascontiguousarray(table[:, 6:]),
+        uv=np.ascontiguousarray(table[:, 6:8]),
         material=material,
+        colors=np.ascontiguousarray(table[:, 8:]) if colors else None,
     )

@@ -1,4 +1,7 @@
-"""What a scene file of any format comes down to: nodes of triangles, and its lights; metres, Z-up."""
+"""What a file of any format comes down to: nodes of triangles, its lights, an account of the rest; metres, Z-up.
+
+Textures are named `texture-<digest>`, maps of skies `sky-<digest>`, by what they hold; a pack puts its name in front.
+"""
 
 import hashlib
 from collections.abc import Callable
@@ -6,17 +9,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 from PIL import Image
 from pydantic import Field
 
 from multilight.scenes.assets.cache import write_once
 from multilight.scenes.assets.formats.cleaning import RawPart
 from multilight.scenes.frozen import Frozen, Matrix4, Rgb, Slug
-from multilight.scenes.spec import Texture
+from multilight.scenes.spec import Material, Texture
 
 KeepImage = Callable[[Image.Image], Texture]
 """Stores a picture and returns the texture that stands for it."""
 
+EMISSION_NITS = 200.0
+"""Luminance [cd/m²] of emission 1 where a file does not say how strong it is: a screen's white."""
 Unit = Literal["cd", "lx", "nit", "W/sr", "W/m2", "W/(m2 sr)"]
 
 
@@ -49,12 +55,10 @@ class FoundLight(Frozen):
     texture: Texture | None = None
 
 
-@dataclass(frozen=True)
-class Emission:
-    """That a part glows: with the colour times strength `amount` in `unit`, times the texture if any."""
+class Emission(Frozen):
+    """That a part glows: with the luminance `amount` [cd/m²] by channel, times the texture if any."""
 
     amount: Rgb
-    unit: Unit
     texture: Texture | None = None
 
 
@@ -67,12 +71,92 @@ class Node:
     emissions: tuple[Emission | None, ...]
 
 
+class Note(Frozen):
+    """What a file states and is not carried: where, what, what happens instead, and what its maker can do."""
+
+    place: str
+    feature: str
+    instead: str
+    remedy: str
+
+    def __str__(self) -> str:
+        return f"{self.place}: {self.feature}; {self.instead}; {self.remedy}"
+
+
 @dataclass(frozen=True)
 class Imported:
-    """All that was read of a scene file."""
+    """All that was read of a file."""
 
     nodes: tuple[Node, ...]
-    lights: tuple[FoundLight, ...]
+    lights: tuple[FoundLight, ...] = ()
+    notes: tuple[Note, ...] = ()
+
+
+class _Part(Frozen):
+    material: Material
+    emission: Emission | None
+
+
+class _Node(Frozen):
+    name: str
+    parts: tuple[_Part, ...]
+
+
+class Record(Frozen):
+    """The part of `Imported` that is kept as JSON, and what it was made of.
+
+    `files` are those that the file refers to, relative to its folder, with the hash of their content (None: missing);
+    `error` is why it could not be read, with `{file}` for its path and `{folder}` for the folder that holds it.
+    """
+
+    files: dict[str, str | None] = Field(default_factory=dict)
+    error: str | None = None
+    nodes: tuple[_Node, ...] = ()
+    lights: tuple[FoundLight, ...] = ()
+    notes: tuple[Note, ...] = ()
+
+
+RECORD, ARRAYS = "record.json", "arrays.npz"
+_ARRAYS = ("vertices", "faces", "normals", "uv", "colors")
+
+
+def save_import(found: Imported, files: dict[str, str | None], folder: Path) -> None:
+    """Write what was read of a file into a folder."""
+    arrays = {}
+    for n, node in enumerate(found.nodes):
+        for p, part in enumerate(node.parts):
+            for name in _ARRAYS:
+                if (array := getattr(part, name)) is not None:
+                    arrays[f"{n}.{p}.{name}"] = array.astype(np.int32 if name == "faces" else np.float32)
+    np.savez(folder / ARRAYS, **arrays)
+    nodes = (
+        _Node(
+            name=node.name,
+            parts=tuple(
+                _Part(material=part.material, emission=emission)
+                for part, emission in zip(node.parts, node.emissions, strict=True)
+            ),
+        )
+        for node in found.nodes
+    )
+    record = Record(files=files, nodes=tuple(nodes), lights=found.lights, notes=found.notes)
+    (folder / RECORD).write_text(record.canonical_json(), encoding="utf-8")
+
+
+def load_import(folder: Path, record: Record) -> Imported:
+    """Read what `save_import` wrote."""
+    nodes = []
+    with (folder / ARRAYS).open("rb") as file:
+        data = np.load(file, allow_pickle=False)
+        for n, node in enumerate(record.nodes):
+            parts = []
+            for p, part in enumerate(node.parts):
+                found = {name: data[f"{n}.{p}.{name}"] for name in _ARRAYS if f"{n}.{p}.{name}" in data}
+                real = {name: array.astype(np.float64) for name, array in found.items() if name != "faces"}
+                faces = found["faces"].astype(np.int64)
+                parts.append(RawPart(**({"normals": None, "uv": None} | real), material=part.material, faces=faces))
+            nodes.append(Node(node.name, tuple(parts), tuple(part.emission for part in node.parts)))
+    return Imported(tuple(nodes), record.lights, record.notes)
 
 
 def image_digest(image: Image.Image) -> str:
@@ -80,10 +164,8 @@ def image_digest(image: Image.Image) -> str:
     return hashlib.sha256(f"{image.mode} {image.size}".encode() + image.tobytes()).hexdigest()[:32]
 
 
-def keep_picture(image: Image.Image, folder: Path) -> str:
-    """Write a picture as PNG into `folder` under the digest of its pixels, which is returned; once."""
-    known = image.mode in ("L", "RGB", "RGBA")
-    picture = image if known else image.convert("RGBA" if "A" in image.mode else "RGB")
-    digest = image_digest(picture)
-    write_once(folder / f"{digest}.png", picture.save)
-    return digest
+def keep_picture(image: Image.Image, folder: Path) -> Texture:
+    """Write a picture as PNG into `folder`, once; its texture is named by the digest of its pixels."""
+    name = f"texture-{image_digest(image)}"
+    write_once(folder / f"{name}.png", image.save)
+    return Texture(image=name)

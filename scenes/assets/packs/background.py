@@ -1,9 +1,8 @@
 """A scene file as a pack: every node a model, so that it can stand in a `SceneSpec`; its lights are kept beside.
 
-The file is read once; meshes, textures and lights lie in the cache under the hash of its content.
+The file is read once; meshes and lights lie in the cache under the hash of its content.
 """
 
-import hashlib
 import re
 import shutil
 import uuid
@@ -14,25 +13,23 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from PIL import Image
 from pydantic import TypeAdapter
 
-from multilight.scenes.assets.cache import is_sound, read_kept, sources_key, write_json
-from multilight.scenes.assets.formats import beside, claims, cleaning, gltf, ies, scene_file
+from multilight.scenes.assets.cache import read_kept, sources_key, write_json
 from multilight.scenes.assets.formats.cleaning import RawPart, clean_mesh, extent
+from multilight.scenes.assets.formats.intake import SUFFIXES, Intake
 from multilight.scenes.assets.formats.mtl import part_name
-from multilight.scenes.assets.formats.scene_file import FoundLight, Imported, Node, keep_picture
+from multilight.scenes.assets.formats.scene_file import FoundLight, Imported, Node, Note
 from multilight.scenes.assets.info import AssetError, AssetInfo
+from multilight.scenes.assets.packs.folder import own_textures
 from multilight.scenes.assets.packs.pack import Pack
-from multilight.scenes.files.inside import OutsideError, inside
 from multilight.scenes.frozen import Frozen, Matrix4, Slug
 from multilight.scenes.meshes import Mesh, MeshPart, load_mesh, save_mesh
 from multilight.scenes.names import free_name
 from multilight.scenes.poses import matrix4, translation
-from multilight.scenes.spec import Material, Texture
+from multilight.scenes.spec import Material
 
 T = TypeVar("T")
-SUFFIXES = (".glb", ".gltf", ".usd", ".usda", ".usdc", ".usdz")
 SMALLEST, LARGEST = 0.3, 500.0
 """Longest side [m] of what may pass for a scene."""
 MOST_NODES = 400
@@ -55,51 +52,38 @@ class _Index(Frozen):
 
 
 class BackgroundPack(Pack):
-    """The scene in `file` (GLB, glTF or USD) as the pack `background`; raises `AssetError` where it cannot serve."""
+    """The scene in `file` as the pack `background`; raises `AssetError` where it cannot serve."""
 
     name = PACK
 
     def __init__(self, file: Path, cache: Path) -> None:
         if not file.is_file():
-            raise AssetError(f"background {file} does not exist; name a GLB, glTF, USD or .blend file")
+            raise AssetError(
+                f"background {file} does not exist; name a GLB, glTF, USD, .blend or other file with --background"
+            )
         if file.suffix.lower() not in SUFFIXES:
-            raise AssetError(f"background {file} is not one of {', '.join(SUFFIXES)}, .blend")
+            raise AssetError(f"background {file} is not one of {', '.join(SUFFIXES)}")
         self.path = self._file = file.resolve()
-        self._cache = cache
+        self._cache, self._intake = cache, Intake(cache)
 
     @cached_property
     def _folder(self) -> Path:
-        """Where the converted scene lies: under the hash of the file, of what lies beside it, and of the code."""
-        usd = sorted(str(path) for path in (Path(__file__).parents[1] / "formats" / "usd").glob("*.py"))
-        own = (str(module.__file__) for module in (beside, claims, gltf, ies, scene_file, cleaning))
-        code = sources_key(__file__, *own, *usd)
-        digest = hashlib.sha256(code.encode())
-        digest.update(self._file.read_bytes())
-        if self._file.suffix.lower() not in (".glb", ".usdz"):
-            for path in sorted(p for p in self._file.parent.rglob("*") if p.is_file()):
-                state = path.stat()
-                digest.update(f"{path} {state.st_size} {state.st_mtime_ns}".encode())
-        return self._cache / "backgrounds" / digest.hexdigest()[:32]
+        """Where the pieces lie: under the hash of what the file holds, and of the code."""
+        key = f"{self._intake.key(self._file, self._file.parent)}-{sources_key(__file__)}"
+        return self._cache / "backgrounds" / key
 
     @cached_property
     def _index(self) -> _Index:
         return self._kept("index.json", lambda file: TypeAdapter(_Index).validate_json(file.read_bytes()))
 
     def _kept(self, name: str, read: Callable[[Path], T]) -> T:
-        """Read a file of the converted scene; where it is missing or damaged, the whole is converted (again)."""
+        """Read a file of the pieces; where it is missing or damaged, all are made (again)."""
         path = self._folder / name
         found = read_kept(path, read)
         if found is None:
             self._convert()
             found = read(path)
         return found
-
-    def _whole(self, name: str) -> Path | None:
-        """Return a picture or map of the converted scene; None where there is none of that name."""
-        path = self._folder / name
-        if not is_sound(path):
-            self._convert()
-        return path if path.is_file() else None
 
     @property
     def pieces(self) -> tuple[Piece, ...]:
@@ -111,13 +95,16 @@ class BackgroundPack(Pack):
         """The lights of the file; an emissive one names a piece and a part of its mesh."""
         return self._index.lights
 
+    def notes(self, name: str) -> tuple[Note, ...]:
+        """Return the account of what the file states and is not carried."""
+        return self._intake.record(self._file, self._file.parent).notes
+
     def _convert(self) -> None:
-        """Read the file and write the converted scene, under a temporary name first."""
-        self._folder.parent.mkdir(parents=True, exist_ok=True)
+        """Read the file and write the pieces, under a temporary name first."""
+        found = self._intake.read(self._file, self._file.parent)
         work = self._folder.with_name(f".{uuid.uuid4().hex}.tmp")
-        work.mkdir()
         try:
-            found = self._read(work)
+            work.mkdir(parents=True)
             index = _converted(self._file, found, work)
             write_json(work / "index.json", index.model_dump(mode="json"))
             self._folder.mkdir(exist_ok=True)
@@ -130,24 +117,6 @@ class BackgroundPack(Pack):
             ) from error
         finally:
             shutil.rmtree(work, ignore_errors=True)
-
-    def _read(self, work: Path) -> Imported:
-        def keep(image: Image.Image) -> Texture:
-            return Texture(image=f"{PACK}/texture-{keep_picture(image, work)}")
-
-        if self._file.suffix.lower() in (".glb", ".gltf"):
-            found = gltf.read_gltf(self._file, keep)
-            for light in found.lights:
-                if light.map is not None:
-                    try:
-                        sky = inside(self._file.parent, f"{light.map}.exr")
-                        shutil.copyfile(sky, inside(work, sky.name))
-                    except OutsideError as error:
-                        raise AssetError(f"{self._file}: {error}; put the map beside it") from None
-            return found
-        from multilight.scenes.assets.formats.usd import read_usd  # imports pxr, which few need
-
-        return read_usd(self._file, keep, work)
 
     def infos(self) -> list[AssetInfo]:
         """List the bodies; converts the file on the first call."""
@@ -181,18 +150,20 @@ class BackgroundPack(Pack):
 
     def texture(self, name: str) -> Path:
         """Return the PNG of a texture `texture-<hash>`."""
-        match = re.fullmatch(r"texture-([0-9a-f]{32})", name)
-        path = self._whole(f"{match[1]}.png") if match else None
+        path = self._picture(name) if re.fullmatch(r"texture-[0-9a-f]{32}", name) else None
         if path is None:
             raise AssetError(f"no texture '{PACK}/{name}' in {self._file}")
         return path
 
     def environment(self, name: str) -> Path:
         """Return the environment map that came with the file."""
-        path = self._whole(f"{name}.exr") if re.fullmatch(r"[0-9a-z-]+", name) else None
+        path = self._picture(name) if re.fullmatch(r"sky-[0-9a-f]{32}", name) else None
         if path is None:
             raise AssetError(f"no environment map '{PACK}/{name}' in {self._file}")
         return path
+
+    def _picture(self, name: str) -> Path | None:
+        return self._intake.picture(name, [(self._file, self._file.parent)])
 
 
 def _converted(file: Path, found: Imported, work: Path) -> _Index:
@@ -256,7 +227,15 @@ def _write_piece(node: Node, name: str, work: Path) -> tuple[Piece, list[FoundLi
     pose = translation([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
     x, y, z = (round(float(v), 5) for v in high - low)
     lights = [
-        FoundLight(kind="emissive", name=name, amount=e.amount, unit=e.unit, node=name, part=number, texture=e.texture)
+        FoundLight(
+            kind="emissive",
+            name=name,
+            amount=e.amount,
+            unit="nit",
+            node=name,
+            part=number,
+            texture=e.texture and e.texture.model_copy(update={"image": f"{PACK}/{e.texture.image}"}),
+        )
         for number, e in enumerate(node.emissions[i] for i in kept)
         if e is not None
     ]
@@ -265,5 +244,5 @@ def _write_piece(node: Node, name: str, work: Path) -> tuple[Piece, list[FoundLi
 
 def _named(part: MeshPart, material: Material) -> MeshPart:
     """Give a part its material back, under a name that no rule for materials knows."""
-    own = material.model_copy(update={"name": part_name(f"bg-{material.name}")})
+    own = own_textures(material, PACK).model_copy(update={"name": part_name(f"bg-{material.name}")})
     return replace(part, name=own.name, material=own)

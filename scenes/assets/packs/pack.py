@@ -1,9 +1,10 @@
 """What every pack is: a set of assets under one name."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from multilight.scenes.assets.formats.scene_file import Note
 from multilight.scenes.assets.info import AssetError, AssetInfo
 from multilight.scenes.meshes import Mesh
 
@@ -27,6 +28,14 @@ class Pack(ABC):
     def mesh(self, name: str) -> Mesh:
         """Convert a model; raises `AssetError` naming the broken file."""
         raise AssetError(f"{self.name}/{name} is not a model")
+
+    def notes(self, name: str) -> Sequence[Note]:
+        """Return the account of what a model's file states and is not carried."""
+        return ()
+
+    def warnings(self, info: AssetInfo) -> Iterable[str]:
+        """Say what is odd about a model, but no fault."""
+        return ()
 
     def texture(self, name: str) -> Path:
         """Return the file of a texture; raises `AssetError` where there is none."""

@@ -5,12 +5,14 @@ Where a comparison fails, both pictures and their difference are written to the 
 """
 
 import importlib.util
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
 import flip_evaluator
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image
 
 from multilight.datagen.backends.choose import open_backend
@@ -21,11 +23,17 @@ from multilight.datagen.production.denoise import denoise_all
 from multilight.datagen.production.scene import sample_scene
 from multilight.datagen.storage.layers import GeometryBuffers
 from multilight.lights.display.tonemap import meter_ev, to_display
+from multilight.lights.spec import LightRig
 from multilight.scenes.arrays import Float32
 from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.cameras.pinhole import camera_from_fov, look_at
+from multilight.scenes.spec import SceneSpec
+from multilight.scenes.still_life.setting import make_body
 from multilight.scenes.streams import Streams
-from tests.datagen.backends.calibration_scenes import LIGHTS, SURFACES, calibration_job
+from tests.datagen.backends.calibration_scenes import GREY, LIGHTS, SURFACES, calibration_job, calibration_scene
+from tests.datagen.backends.contract_scenes import placed
 
+CASES = Path(__file__).parents[2] / "scenes" / "cases"
 CHOICE = choose_variant()
 pytestmark = [
     pytest.mark.slow,
@@ -77,6 +85,56 @@ def test_each_light_on_each_surface(renderers: tuple[Backend, Backend], surface:
     _save(tmp_path, surface, ours.combined, theirs.combined)
     assert _psnr(ours.combined, theirs.combined) > LEAST_DECIBELS.get(surface, 35.0), tmp_path
     _same_geometry(ours.geometry, theirs.geometry)
+
+
+def test_imported_materials(tmp_path: Path) -> None:
+    """What files bring and the library does not: clamped and cut-out pictures, vertex colours, maps of metal, coats."""
+    folder = tmp_path / "own"
+    folder.mkdir()
+    for case in ("models/a24_clamp", "models/a16_blend_factor_and_texture", "models/a17_transmission_ior",
+                 "models/a18_clearcoat", "bg/c33_mask_cutoff"):  # fmt: skip
+        shutil.copy(CASES / f"{case}.glb", folder)
+    colourful, patchy = trimesh.creation.box((0.1, 0.1, 0.1)), trimesh.creation.box((0.1, 0.1, 0.1))
+    colourful.visual.vertex_colors = np.random.default_rng(0).integers(0, 255, (8, 4), np.uint8)
+    packed = np.zeros((16, 16, 3), np.uint8)
+    packed[..., 1], packed[:, 8:, 2] = 90, 255
+    material = trimesh.visual.material.PBRMaterial(
+        baseColorFactor=(220, 180, 60, 255), metallicRoughnessTexture=Image.fromarray(packed)
+    )
+    patchy.visual = trimesh.visual.TextureVisuals(uv=patchy.vertices[:, :2] * 10 + 0.5, material=material)
+    colourful.export(folder / "colourful.glb")
+    patchy.export(folder / "patchy.glb")
+    library = AssetLibrary(tmp_path / "cache", packs=("builtin",), folders=(folder,))
+    bodies = [body for body in calibration_scene(GREY).bodies if body.name == "ground"]
+    infos = sorted(library.list("object"), key=lambda info: info.id) + list(library.list("surrounding"))[-1:]
+    infos = [info for info in infos if info.pack == "own"]
+    for number, info in enumerate(infos):
+        mesh = library.mesh(info.id)
+        scale = 0.35 / max(info.size or (1,))
+        pose = placed((number % 3 - 1) * 0.6, (number // 3 - 0.5) * 0.7, 0.02) @ np.diag([scale, scale, scale, 1])
+        materials = [part.material for part in mesh.parts]
+        bodies.append(make_body(f"b{number}", "object", info, mesh, materials, pose))
+    camera = camera_from_fov(look_at((0.3, -2.6, 1.6), (0, 0, 0.1)), width=128, height=96, fov=0.8)
+    scene = SceneSpec(kind="custom", index=0, bodies=tuple(bodies), cameras=(camera,))
+    assert len(infos) == 6 + 1
+    job = RenderJob(
+        scene, LightRig(lights=(LIGHTS["uniform"], LIGHTS["rectangle"])), RenderSettings(spp=256, threads=2), 0
+    )
+    pictures = []
+    for name in ("mitsuba", "cycles"):
+        with open_backend(name, library) as backend:
+            pictures.append(backend.render(job))
+    ours, theirs = pictures
+    _save(tmp_path, "imported", ours.combined, theirs.combined)
+    assert ours.combined.mean() == pytest.approx(theirs.combined.mean(), rel=0.02), tmp_path
+    assert _psnr(ours.combined, theirs.combined) > 30.0, tmp_path
+    assert ours.geometry is not None
+    assert theirs.geometry is not None
+    seen = theirs.geometry.instance_id != 2  # of an opacity of 0.3 Cycles has ids and Mitsuba has not
+    assert np.mean((ours.geometry.instance_id == theirs.geometry.instance_id)[seen]) > 0.99
+    for name in ("albedo", "roughness", "metallic"):
+        apart = np.abs(getattr(ours.geometry, name) - getattr(theirs.geometry, name))[seen]
+        assert np.quantile(apart, 0.97) < 0.02, (name, tmp_path)
 
 
 def _same_geometry(ours: GeometryBuffers | None, theirs: GeometryBuffers | None) -> None:

@@ -5,42 +5,56 @@ Intensity times two to the exposure is a luminance [cd/m²] (OpenUSD, Overview o
 """
 
 import math
-import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import OpenEXR
 from pxr import UsdGeom, UsdLux
 
-from multilight.scenes.arrays import Float64
+from multilight.scenes.arrays import Float32, Float64
+from multilight.scenes.assets.environments import read_environment, read_hdr
 from multilight.scenes.assets.formats.ies import parse_ies
-from multilight.scenes.assets.formats.scene_file import FoundLight
-from multilight.scenes.assets.formats.usd.materials import inputs_of, open_picture, read_resolved, resolved_file, rgb_of
+from multilight.scenes.assets.formats.scene_file import Emission, FoundLight
+from multilight.scenes.assets.formats.usd.materials import (
+    by_blender,
+    inputs_of,
+    open_picture,
+    read_resolved,
+    resolved_file,
+    rgb_of,
+)
 from multilight.scenes.assets.formats.usd.names import PROFILE
 from multilight.scenes.assets.info import AssetError
-from multilight.scenes.colour import srgb_decode
+from multilight.scenes.colour import LUMINOUS_EFFICACY, srgb_decode
+from multilight.scenes.frozen import Rgb
 from multilight.scenes.poses import matrix4, pose_of
 
 
 @dataclass(frozen=True)
 class LightReader:
-    """Reads the lights of the stage at `path`; `keep_map` stores a dome's texture and returns its name."""
+    """Reads the lights of the stage at `path`.
+
+    `keep_map` stores a dome's texture and returns its name, or none where it is of one colour, which comes beside;
+    `note` takes what is not carried: place, feature, what happens instead, remedy.
+    """
 
     path: Path
-    keep_map: Callable[[Any, Any], str]
+    keep_map: Callable[[Any, Any], tuple[str | None, Rgb]]
+    note: Callable[[Any, str, str, str], None] = lambda *_: None
+
+    def glow(self, prim: Any) -> Emission:
+        """Return what a shape that is a light gives off."""
+        level, colour = _level(prim)
+        return Emission(amount=rgb_of(colour * level))
 
     def read(self, prim: Any, matrix: Float64) -> FoundLight:
         """Translate a light placed by `matrix` (4, 4), world from light; raises `AssetError` for other kinds."""
         stretch = np.linalg.norm(matrix[:3, :3], axis=0)
         pose = pose_of(matrix[:3, :3] / stretch, matrix[:3, 3])
         value = inputs_of(UsdLux.LightAPI(prim))
-        level = float(value("intensity", 1.0)) * 2.0 ** float(value("exposure", 0.0))
-        colour = np.array(value("color", (1.0, 1.0, 1.0)), np.float64)
-        if value("enableColorTemperature", False):
-            colour = colour * np.array(UsdLux.BlackbodyTemperatureAsRgb(float(value("colorTemperature", 6500.0))))
+        level, colour = _level(prim)
         normalized = bool(value("normalize", False))
 
         def made(kind: Any, amount: float, unit: Any, **more: Any) -> FoundLight:
@@ -51,6 +65,8 @@ class LightReader:
         if prim.IsA(UsdLux.SphereLight):
             return self._sphere(made, prim, level, float(value("radius", 0.5)) * float(stretch.mean()), normalized)
         if prim.IsA(UsdLux.RectLight):
+            if (file := prim.GetAttribute("inputs:texture:file").Get()) is not None and file.path:
+                self.note(prim.GetPath(), f"its picture {file.path!r}", "it shines evenly", "make it a glowing mesh")
             size = float(value("width", 1.0)) * stretch[0], float(value("height", 1.0)) * stretch[1]
             area = size[0] * size[1]
             return made("area", level / area if normalized else level, "nit", width=size[0], height=size[1])
@@ -76,13 +92,15 @@ class LightReader:
         pole, centre = axes[:, 1], axes[:, 2]
         if prim.IsA(UsdLux.DomeLight_1) and _pole_axis(prim) == UsdGeom.Tokens.z:
             pole, centre = axes[:, 2], -axes[:, 1]
-        if pole[2] < 0.999:
-            raise AssetError(f"{self.path}: the dome light {prim.GetPath()} is tilted; rotate its pole upright")
-        rotation = math.atan2(centre[1], centre[0])
         file = prim.GetAttribute("inputs:texture:file").Get()
         if file is None or not file.path:
             return made("environment", level, "nit")
-        return made("environment", level, "nit", map=self.keep_map(file, prim), rotation=rotation)
+        if pole[2] < 0.999:
+            raise AssetError(f"{self.path}: the dome light {prim.GetPath()} is tilted; rotate its pole upright")
+        rotation = math.atan2(centre[1], centre[0])
+        name, tint = self.keep_map(file, prim)
+        light: FoundLight = made("environment", level, "nit", map=name, rotation=rotation if name else 0.0)
+        return light.model_copy(update={"amount": rgb_of(np.array(light.amount) * tint)})
 
     def _sphere(self, made: Any, prim: Any, level: float, radius: float, normalized: bool) -> FoundLight:
         """Translate a sphere light: its intensity is its luminance times the disc one sees; a cone makes it a spot."""
@@ -114,17 +132,30 @@ class LightReader:
         return found.profile, found.candela * (4 * math.pi / found.lumens if normalized else 1.0)
 
 
-def write_map(path: Path, file: Any, where: Any, target: Path) -> None:
-    """Bring a dome's texture to `target` as EXR; raises `AssetError` for formats that are not read."""
+def _level(prim: Any) -> tuple[float, Float64]:
+    """Return a light's luminance [cd/m²] and its colour (3,)."""
+    value = inputs_of(UsdLux.LightAPI(prim))
+    level = float(value("intensity", 1.0)) * 2.0 ** float(value("exposure", 0.0))
+    colour = np.array(value("color", (1.0, 1.0, 1.0)), np.float64)
+    kelvin = float(value("colorTemperature", 6500.0))
+    white = kelvin == 6500.0 and by_blender(prim.GetStage())  # which has it on where it means white
+    if value("enableColorTemperature", False) and not white:
+        colour = colour * np.array(UsdLux.BlackbodyTemperatureAsRgb(kelvin))
+    # Blender writes its own watts, those of a sun over four.
+    watts = LUMINOUS_EFFICACY * (4.0 if prim.IsA(UsdLux.DistantLight) else 1.0)
+    return level * (watts if by_blender(prim.GetStage()) else 1.0), colour
+
+
+def read_map(path: Path, file: Any, where: Any) -> Float32:
+    """Read a dome's texture, (H, W, 3) linear; raises `AssetError` for formats that are not read."""
     if file.resolvedPath.lower().endswith(".exr") and "[" not in file.resolvedPath:
-        shutil.copyfile(resolved_file(path, file, where), target)
-        return
-    if file.path.lower().endswith((".hdr", ".tx")):
+        return read_environment(Path(resolved_file(path, file, where)))
+    if file.path.lower().endswith(".hdr"):
+        return read_hdr(read_resolved(path, file, where), f"{path}: {file.path!r}")
+    if file.path.lower().endswith(".tx"):
         raise AssetError(f"{path}: {where} names {file.path!r}; convert it to EXR")
     pixels = np.asarray(open_picture(path, file, where).convert("RGB"), np.float32) / 255
-    linear = srgb_decode(pixels).astype(np.float32)
-    with OpenEXR.File({}, {"RGB": np.ascontiguousarray(linear)}) as picture:
-        picture.write(str(target))
+    return srgb_decode(pixels).astype(np.float32)
 
 
 def _pole_axis(prim: Any) -> str:

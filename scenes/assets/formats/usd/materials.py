@@ -1,9 +1,9 @@
-"""UsdPreviewSurface materials, and the pictures that feed them."""
+"""Surfaces of UsdPreviewSurface and MaterialX, and the pictures that feed them."""
 
-import io
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,17 +11,42 @@ import numpy as np
 from PIL import Image
 from pxr import UsdShade
 
-from multilight.scenes.assets.formats.gltf import EMISSION_NITS
+from multilight.scenes.assets.formats.coordinates import Place, Wrap, affine_of, common
 from multilight.scenes.assets.formats.mtl import part_name
-from multilight.scenes.assets.formats.scene_file import Emission
+from multilight.scenes.assets.formats.pictures import as_eight_bit
+from multilight.scenes.assets.formats.scene_file import EMISSION_NITS, Emission
 from multilight.scenes.assets.formats.usd.names import BASE, IMAGE, NAME, NITS, OPACITY, OWN, TRANSMISSION
 from multilight.scenes.assets.info import AssetError
+from multilight.scenes.colour import LUMINOUS_EFFICACY
 from multilight.scenes.files import limits
 from multilight.scenes.files.inside import OutsideError, held
 from multilight.scenes.frozen import Rgb
 from multilight.scenes.spec import Material, Texture
 
 _WHITE = (1.0, 1.0, 1.0)
+
+
+_SURFACES = {
+    "ND_open_pbr_surface_surfaceshader": {
+        "diffuseColor": "base_color", "roughness": "specular_roughness", "metallic": "base_metalness",
+        "ior": "specular_ior", "clearcoat": "coat_weight", "clearcoatRoughness": "coat_roughness",
+        "opacity": "geometry_opacity", "emissiveColor": "emission_color", "through": "transmission_weight",
+        "glow": "emission_luminance", "normal": "geometry_normal",
+    },
+    "ND_standard_surface_surfaceshader": {
+        "diffuseColor": "base_color", "roughness": "specular_roughness", "metallic": "metalness",
+        "ior": "specular_IOR", "clearcoat": "coat", "clearcoatRoughness": "coat_roughness", "opacity": "opacity",
+        "emissiveColor": "emission_color", "through": "transmission", "glow": "emission", "normal": "normal",
+    },
+    "ND_gltf_pbr_surfaceshader": {
+        "diffuseColor": "base_color", "clearcoatRoughness": "clearcoat_roughness", "opacity": "alpha",
+        "emissiveColor": "emissive", "through": "transmission", "glow": "emissive_strength",
+    },
+}  # fmt: skip
+"""MaterialX surfaces, and what their inputs are called that UsdPreviewSurface has; `glow` multiplies the emission."""
+SURFACES = ("UsdPreviewSurface", "ND_UsdPreviewSurface_surfaceshader", *_SURFACES)
+_DULL = {"diffuseColor": (0.8, 0.8, 0.8), "roughness": 0.3}
+"""What MaterialX surfaces have where they say nothing."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +59,7 @@ class Picture:
     image: Image.Image
     file: str
     scale: tuple[float, float, float, float]
-    repeat: tuple[float, float]
+    place: Place
     asset: str | None
 
 
@@ -43,10 +68,18 @@ TextureOf = Callable[[Picture, str], Texture]
 
 
 def bound_surface(prim: Any) -> Any:
-    """Return the UsdPreviewSurface bound to a prim, or None."""
+    """Return the surface shader bound to a prim, UsdPreviewSurface before MaterialX; None where there is none."""
     material = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
-    shader = material.ComputeSurfaceSource()[0] if material else None
-    return shader if shader and shader.GetIdAttr().Get() == "UsdPreviewSurface" else None
+    for context in ("", "mtlx") if material else ():
+        shader = material.ComputeSurfaceSource(context)[0]
+        if shader and shader.GetIdAttr().Get() in SURFACES:
+            return shader
+    return None
+
+
+def by_blender(stage: Any) -> bool:
+    """Tell whether Blender wrote a stage: its lights and emissions are in watts."""
+    return str(stage.GetRootLayer().documentation).startswith("Blender v")
 
 
 def inputs_of(owner: Any) -> Callable[[str, Any], Any]:
@@ -66,38 +99,75 @@ def rgb_of(colour: Any) -> Rgb:
     return red, green, blue
 
 
-def read_material(path: Path, shader: Any, texture_of: TextureOf, *, has_uv: bool) -> tuple[Material, Emission | None]:
-    """Translate a UsdPreviewSurface of the stage at `path`; raises `AssetError` for a picture that cannot be read."""
-    value, found = inputs_of(shader), {}
+@dataclass(frozen=True)
+class Surface:
+    """A surface as it was read: its material, what it gives off, and the place of its coordinates."""
+
+    material: Material
+    emission: Emission | None
+    place: Place
+
+
+def read_material(path: Path, shader: Any, texture_of: TextureOf, *, has_uv: bool) -> Surface:
+    """Translate a surface of the stage at `path`; raises `AssetError` for a picture that cannot be read."""
+    names = _SURFACES.get(shader.GetIdAttr().Get(), {})
+    stated, found = inputs_of(shader), {}
+
+    def value(name: str, fallback: Any) -> Any:
+        return stated(names.get(name, name), _DULL.get(name, fallback) if names else fallback)
+
     for name in ("diffuseColor", "roughness", "normal", "emissiveColor", "metallic", "opacity"):
-        if has_uv and (picture := _picture(path, shader, name)) is not None:
+        if has_uv and (picture := _picture(path, shader, names.get(name, name))) is not None:
             found[name] = picture
-    cut_out = "diffuseColor" in found and "opacity" in found and found["opacity"].file == found["diffuseColor"].file
-    opacity, transmission = _clearness(shader, found["opacity"].scale[3] if cut_out else value("opacity", 1.0))
+    at = common([picture.place for picture in found.values()])
+    found = {k: v for k, v in found.items() if k == "diffuseColor" or v.place.within(at) is not None}
+    texture = partial(_texture, texture_of=texture_of, at=at)
+    colour, clear = found.get("diffuseColor"), found.get("opacity")
+    cut_out = colour is not None and clear is not None and clear.file == colour.file
+    stop = _first(value("opacity", 1.0))
+    if clear is not None:  # of another picture: its mean
+        mean = float(np.asarray(clear.image.convert("L"), np.float64).mean()) / 255
+        stop = clear.scale[3] if cut_out else clear.scale[0] * mean
+    opacity, transmission = _clearness(shader, stop)
     own_name, own_base = (shader.GetPrim().GetParent().GetAttribute(name).Get() for name in (NAME, BASE))
+    dim = _share(stated("base_weight", stated("base", 1.0))) if names else 1.0
+    base = _level(colour, value("diffuseColor", (0.18, 0.18, 0.18))) if own_base is None else rgb_of(own_base)
+    rough, metal = found.get("roughness"), found.get("metallic")
+    ior = float(value("ior", 1.5))
+    if value("useSpecularWorkflow", 0):
+        zero = min(float(np.mean(value("specularColor", (0.0, 0.0, 0.0)))), 0.25)
+        ior = (1 + zero**0.5) / (1 - zero**0.5)
+    threshold = _share(value("opacityThreshold", 0.0)) if cut_out else 0.0
     material = Material(
         name=own_name or part_name(shader.GetPrim().GetParent().GetName()),
-        base_color=_level(found.get("diffuseColor"), value("diffuseColor", (0.18, 0.18, 0.18)))
-        if own_base is None
-        else rgb_of(own_base),
-        base_color_texture=_texture(found.get("diffuseColor"), "RGBA" if cut_out else "RGB", texture_of),
-        roughness=_share(found["roughness"].scale[0] if "roughness" in found else value("roughness", 0.5)),
-        roughness_texture=_texture(found.get("roughness"), "L", texture_of),
-        metallic=_metallic(found.get("metallic"), value("metallic", 0.0)),
-        ior=float(np.clip(value("ior", 1.5), 1.0, 3.0)),
+        base_color=(base[0] * dim, base[1] * dim, base[2] * dim),
+        base_color_texture=texture(colour, "RGBA" if cut_out else "RGB"),
+        roughness=_share(value("roughness", 0.5) if rough is None else rough.scale[0]),
+        roughness_texture=texture(rough, "L"),
+        metallic=_share(value("metallic", 0.0) if metal is None else metal.scale[0]),
+        metallic_texture=texture(metal, "L"),
+        ior=float(np.clip(ior, 1.0, 3.0)),
         coat=_share(value("clearcoat", 0.0)),
         coat_roughness=_share(value("clearcoatRoughness", 0.01)),
-        transmission=transmission,
+        transmission=_share(value("through", 0.0)) if names else transmission,
         opacity=opacity,
         opacity_from_alpha=cut_out,
-        normal_texture=_texture(found.get("normal"), "RGB", texture_of),
+        alpha_cutoff=threshold,
+        normal_texture=texture(found.get("normal"), "RGB"),
     )
     glow = _level(found.get("emissiveColor"), value("emissiveColor", (0.0, 0.0, 0.0)))
-    if max(glow) == 0:
-        return material, None
-    unit = _emission_nits(shader)
+    strength = float(value("glow", 0.0)) if names else 1.0
+    if max(glow) * strength == 0:
+        return Surface(material, None, at)
+    unit = strength * (1.0 if names.get("glow") == "emission_luminance" else _emission_nits(shader))
     amount = (glow[0] * unit, glow[1] * unit, glow[2] * unit)
-    return material, Emission(amount, "nit", _texture(found.get("emissiveColor"), "RGB", texture_of))
+    shown = texture(found.get("emissiveColor"), "RGB")
+    return Surface(material, Emission(amount=amount, texture=shown), at)
+
+
+def _first(value: Any) -> float:
+    """Return a number, or the first of a colour's."""
+    return float(value[0]) if hasattr(value, "__len__") else float(value)
 
 
 def _clearness(shader: Any, opacity: Any) -> tuple[float, float]:
@@ -111,6 +181,8 @@ def _clearness(shader: Any, opacity: Any) -> tuple[float, float]:
 
 def _emission_nits(shader: Any) -> float:
     """Return the luminance [cd/m²] of an emissive colour of 1: stated by the project's own stages, else a guess."""
+    if by_blender(shader.GetPrim().GetStage()):
+        return LUMINOUS_EFFICACY
     said = shader.GetPrim().GetStage().GetRootLayer().customLayerData.get(OWN, {})
     return 1.0 if said.get("emissiveColor") == NITS else EMISSION_NITS
 
@@ -123,24 +195,22 @@ def _level(picture: Picture | None, plain: Any) -> Rgb:
     return rgb_of(plain if picture is None else picture.scale[:3])
 
 
-def _metallic(picture: Picture | None, plain: Any) -> float:
-    if picture is None:
-        return _share(plain)
-    return float(np.round(np.asarray(picture.image.convert("L")).mean() / 255))
-
-
-def _texture(picture: Picture | None, mode: str, texture_of: TextureOf) -> Texture | None:
+def _texture(picture: Picture | None, mode: str, *, texture_of: TextureOf, at: Place) -> Texture | None:
     if picture is None:
         return None
-    return texture_of(picture, mode).model_copy(update={"repeat": picture.repeat})
+    repeat = picture.place.within(at) or (1.0, 1.0)
+    return texture_of(picture, mode).model_copy(update={"repeat": repeat, "wrap": picture.place.wrap})
 
 
 def _picture(path: Path, shader: Any, name: str) -> Picture | None:
     """Open the picture that feeds an input; None where none does."""
     given = shader.GetInput(name)
     source: Any = given.GetConnectedSource() if given else None
-    node = UsdShade.Shader(source[0].GetPrim()) if source else None
-    if not node or node.GetIdAttr().Get() != "UsdUVTexture":
+    node: Any = UsdShade.Shader(source[0].GetPrim()) if source else None
+    kind = str(node.GetIdAttr().Get()) if node else ""
+    if kind == "ND_normalmap":
+        return _picture(path, node, "in")
+    if kind != "UsdUVTexture" and not kind.startswith(("ND_image_", "ND_tiledimage_", "ND_UsdUVTexture")):
         return None
     value = inputs_of(node)
     file = value("file", None)
@@ -149,17 +219,33 @@ def _picture(path: Path, shader: Any, name: str) -> Picture | None:
         image = image.getchannel(source[1].upper())
     red, green, blue, alpha = (max(float(v), 0.0) for v in value("scale", (1.0, 1.0, 1.0, 1.0)))
     own = node.GetPrim().GetAttribute(IMAGE).Get()
-    return Picture(image, file.resolvedPath, (red, green, blue, alpha), _repeat(node), own)
+    return Picture(image, file.resolvedPath, (red, green, blue, alpha), _place(node), own)
 
 
-def _repeat(node: Any) -> tuple[float, float]:
-    """Return how often a picture repeats: the scale of the transform that feeds it."""
-    feed = node.GetInput("st").GetConnectedSource() if node.GetInput("st") else None
-    placed = UsdShade.Shader(feed[0].GetPrim()) if feed else None
-    if not placed or placed.GetIdAttr().Get() != "UsdTransform2d":
-        return 1.0, 1.0
-    x, y = inputs_of(placed)("scale", (1.0, 1.0))
-    return max(abs(float(x)), 1e-6), max(abs(float(y)), 1e-6)
+def _place(node: Any) -> Place:
+    """Return how a picture lies: by which primvar, transformed how, and what is beyond it."""
+    value = inputs_of(node)
+    wrap = str(value("wrapS", value("uaddressmode", "repeat")))
+    layer, affine = "st", np.eye(3)
+    if node.GetIdAttr().Get().startswith("ND_tiledimage_"):
+        affine = np.diag([*value("uvtiling", (1.0, 1.0)), 1.0]).astype(np.float64)
+        affine[:2, 2] = value("uvoffset", (0.0, 0.0))
+    feeds: tuple[str, ...] = ("st", "texcoord")
+    while feed := next(
+        (i.GetConnectedSource() for n in feeds if (i := node.GetInput(n)) and i.HasConnectedSource()), None
+    ):
+        node, feeds = UsdShade.Shader(feed[0].GetPrim()), ("in",)
+        value = inputs_of(node)
+        if node.GetIdAttr().Get() == "UsdTransform2d":
+            angle = np.radians(float(value("rotation", 0.0)))
+            turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+            own = np.eye(3)
+            own[:2, :2], own[:2, 2] = turn * np.array(value("scale", (1, 1))), value("translation", (0, 0))
+            affine = affine @ own
+        else:
+            layer = str(value("varname", value("geomprop", "st")))
+    wraps: dict[str, Wrap] = {"clamp": "clamp", "black": "clamp", "mirror": "mirror", "constant": "clamp"}
+    return Place(layer, affine_of(affine), wraps.get(wrap, "repeat"))
 
 
 def open_picture(path: Path, file: Any, where: Any) -> Image.Image:
@@ -167,9 +253,8 @@ def open_picture(path: Path, file: Any, where: Any) -> Image.Image:
     resolved = resolved_file(path, file, where)
     try:
         if "[" in resolved:  # inside a .usdz
-            return limits.open_picture(io.BytesIO(_from_package(resolved))).copy()
-        with limits.open_picture(Path(resolved)) as picture:
-            return picture.copy()
+            return as_eight_bit(_from_package(resolved))
+        return as_eight_bit(Path(resolved))
     except (OSError, SyntaxError, ValueError, KeyError, zipfile.BadZipFile) as error:
         raise AssetError(f"{path}: texture {file.path!r} cannot be read ({error}); save it as PNG") from error
 

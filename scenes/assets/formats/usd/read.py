@@ -5,18 +5,28 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdShade
+from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdShade, UsdUtils
 
 from multilight.scenes.arrays import Float64, Int64, Mask
+from multilight.scenes.assets.environments import keep_map
 from multilight.scenes.assets.formats.claims import check_triangles
 from multilight.scenes.assets.formats.cleaning import Z_UP_FROM_Y_UP, RawPart
-from multilight.scenes.assets.formats.scene_file import Emission, FoundLight, Imported, KeepImage, Node
-from multilight.scenes.assets.formats.usd.lights import LightReader, write_map
-from multilight.scenes.assets.formats.usd.materials import Picture, bound_surface, package_of, read_material, rgb_of
+from multilight.scenes.assets.formats.coordinates import Place, laid
+from multilight.scenes.assets.formats.scene_file import FoundLight, Imported, KeepImage, Node, Note
+from multilight.scenes.assets.formats.usd.lights import LightReader, read_map
+from multilight.scenes.assets.formats.usd.materials import (
+    Picture,
+    Surface,
+    bound_surface,
+    package_of,
+    read_material,
+    rgb_of,
+)
 from multilight.scenes.assets.formats.usd.shapes import SHAPES, read_shape
 from multilight.scenes.assets.info import AssetError, unreadable
 from multilight.scenes.files.inside import OutsideError, held
 from multilight.scenes.files.limits import MOST_NODES, LimitError, check_file
+from multilight.scenes.frozen import Rgb
 from multilight.scenes.poses import apply_pose, pose_of
 from multilight.scenes.spec import Material, Texture
 
@@ -61,13 +71,16 @@ def world_from_stage(stage: Any) -> Float64:
     return pose_of(up * float(UsdGeom.GetStageMetersPerUnit(stage)), np.zeros(3))
 
 
-def read_usd(path: Path, keep: KeepImage, folder: Path) -> Imported:
-    """Read a USD file; dome textures go into `folder` as EXR.
+def read_usd(path: Path, keep: KeepImage, folder: Path) -> tuple[Imported, list[Path]]:
+    """Read a USD file, and return the files that it refers to as well; maps of domes go into `folder` as EXR.
 
     Raises `AssetError` in one line with the file, what is wrong and the remedy.
     """
     try:
-        return _Reader(path, open_stage(path), keep, folder).read()
+        found = _Reader(path, open_stage(path), keep, folder).read()
+        layers, assets, _ = UsdUtils.ComputeAllDependencies(str(path))
+        files = {Path(package_of(name)) for name in (*(layer.realPath for layer in layers), *map(str, assets)) if name}
+        return found, sorted(files - {path})
     except AssetError:
         raise
     except LimitError as error:
@@ -83,21 +96,46 @@ class _Reader:
         self._path, self._stage, self._keep, self._folder = path, stage, keep, folder
         self._world = world_from_stage(stage)
         self._places = UsdGeom.XformCache()
-        self._lights = LightReader(path, self._keep_map)
+        self._lights = LightReader(path, self._keep_map, self._note)
         self._triangles = 0
+        self._notes: list[Note] = []
 
     def read(self) -> Imported:
-        nodes, lights = [], []
-        for number, prim in enumerate(Usd.PrimRange(self._stage.GetPseudoRoot(), Usd.TraverseInstanceProxies())):
+        nodes: list[Node | None] = []
+        lights = []
+        prims = iter(Usd.PrimRange(self._stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()))
+        for number, prim in enumerate(prims):
             if number > MOST_NODES:
                 raise LimitError(f"it has more than {MOST_NODES} prims, each instance counted; join some")
             if not prim.IsA(UsdGeom.Imageable) or not _is_shown(prim):
                 continue
-            if any(prim.IsA(shape) for shape in SHAPES):
-                nodes.append(self._node(prim))
+            if prim.IsA(UsdGeom.PointInstancer):
+                nodes += self._instances(UsdGeom.PointInstancer(prim))
+                prims.PruneChildren()
+            elif any(prim.IsA(shape) for shape in SHAPES):
+                nodes.append(self._node(prim, self._matrix(prim)))
             elif prim.HasAPI(UsdLux.LightAPI):
                 lights.append(self._light(prim))
-        return Imported(tuple(node for node in nodes if node is not None), tuple(lights))
+            elif prim.IsA(UsdGeom.Gprim):
+                self._note(prim.GetPath(), f"a {prim.GetTypeName()}", "it is left out", "make it a mesh")
+        return Imported(tuple(node for node in nodes if node is not None), tuple(lights), tuple(self._notes))
+
+    def _note(self, place: Any, feature: str, instead: str, remedy: str) -> None:
+        self._notes.append(Note(place=str(place), feature=feature, instead=instead, remedy=remedy))
+
+    def _instances(self, instancer: Any) -> Iterator[Node | None]:
+        """Place what a point instancer repeats."""
+        base, numbers = self._matrix(instancer.GetPrim()), instancer.GetProtoIndicesAttr().Get() or []
+        now = Usd.TimeCode.Default()
+        placed = instancer.ComputeInstanceTransformsAtTime(now, now) or []
+        prototypes = [self._stage.GetPrimAtPath(path) for path in instancer.GetPrototypesRel().GetTargets()]
+        for number, pose in zip(numbers, placed, strict=False):
+            root = prototypes[number]
+            to_root = np.linalg.inv(np.array(self._places.GetLocalToWorldTransform(root)).T)
+            for prim in Usd.PrimRange(root, Usd.TraverseInstanceProxies()):
+                if any(prim.IsA(shape) for shape in SHAPES):
+                    local = to_root @ np.array(self._places.GetLocalToWorldTransform(prim)).T
+                    yield self._node(prim, base @ np.array(pose).T @ local)
 
     def _matrix(self, prim: Any) -> Float64:
         """Return a prim's matrix (4, 4) to our world; USD's own act on rows."""
@@ -106,44 +144,55 @@ class _Reader:
     def _light(self, prim: Any) -> FoundLight:
         return self._lights.read(prim, self._matrix(prim))
 
-    def _node(self, prim: Any) -> Node | None:
-        """Read a shape, one part for each material on it."""
+    def _node(self, prim: Any, matrix: Float64) -> Node | None:
+        """Read a shape placed by `matrix`, one part for each material on it."""
         shape = read_shape(prim)
         if shape is None:
             return None
         self._triangles += len(shape.faces)
         check_triangles(self._triangles)
-        matrix = self._matrix(prim)
         if abs(np.linalg.det(matrix[:3, :3])) < 1e-18:
             return None
         points = apply_pose(matrix, shape.points)
         normals = None if shape.normals is None else shape.normals @ np.linalg.inv(matrix[:3, :3])
         order = [2, 1, 0] if np.linalg.det(matrix[:3, :3]) < 0 else [0, 1, 2]
         parts, emissions = [], []
+        glow = self._lights.glow(prim) if prim.HasAPI(UsdLux.LightAPI) else None
         for chosen, shader in _bindings(prim, shape.source):
-            material, emission = self._material(shader, prim, has_uv=shape.uv is not None)
+            surface = self._material(shader, prim, has_uv=bool(shape.uv))
+            given = shape.uv.get(surface.place.layer, next(iter(shape.uv.values()), None))
+            material, colors = surface.material, None
+            if shader is None and shape.colors is not None:
+                colors = shape.colors[chosen][:, order].reshape(-1, 3)
+                material = material.model_copy(update={"base_color": (1.0, 1.0, 1.0)})
             corners = points[shape.faces[chosen][:, order]].reshape(-1, 3)
             shading = None if normals is None else normals[chosen][:, order].reshape(-1, 3)
-            uv = None if shape.uv is None else shape.uv[chosen][:, order].reshape(-1, 2)
+            uv = None if given is None else laid(given[chosen][:, order].reshape(-1, 2), surface.place.affine)
             faces = np.arange(len(corners), dtype=np.int64).reshape(-1, 3)
-            parts.append(RawPart(material, corners, faces, shading, uv))
-            emissions.append(emission)
+            parts.append(RawPart(material, corners, faces, shading, uv, colors))
+            emissions.append(glow or surface.emission)
         return Node(prim.GetName(), tuple(parts), tuple(emissions))
 
-    def _material(self, shader: Any, prim: Any, *, has_uv: bool) -> tuple[Material, Emission | None]:
+    def _material(self, shader: Any, prim: Any, *, has_uv: bool) -> Surface:
         """Translate a surface; without one, the shape's display colour."""
         if shader is not None:
             return read_material(self._path, shader, self._kept, has_uv=has_uv)
         colour = UsdGeom.Gprim(prim).GetDisplayColorAttr().Get()
-        return Material(base_color=rgb_of(colour[0]) if colour else (0.18, 0.18, 0.18)), None
+        bound = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
+        if bound:
+            remedy = "give it a UsdPreviewSurface"
+            self._note(bound.GetPath(), "its shader is none that is read", "a plain surface is shown", remedy)
+        plain = Material(base_color=rgb_of(colour[0]) if colour else (0.18, 0.18, 0.18))
+        return Surface(plain, None, Place())
 
     def _kept(self, picture: Picture, mode: str) -> Texture:
         return self._keep(picture.image.convert(mode))
 
-    def _keep_map(self, file: Any, prim: Any) -> str:
-        name = f"dome-{len(list(self._folder.glob('dome-*.exr')))}"
-        write_map(self._path, file, prim.GetPath(), self._folder / f"{name}.exr")
-        return name
+    def _keep_map(self, file: Any, prim: Any) -> tuple[str | None, Rgb]:
+        image = read_map(self._path, file, prim.GetPath())
+        if float(np.ptp(image, axis=(0, 1)).max()) == 0:
+            return None, rgb_of(image[0, 0])
+        return keep_map(image, f"{self._path}: its sky {file.path!r}", self._folder), (1.0, 1.0, 1.0)
 
 
 def _bindings(prim: Any, source: Int64) -> Iterator[tuple[Mask, Any]]:
