@@ -86,7 +86,7 @@ MISTAKES = {
     "insert CAPTURE --asset NONE.glb --out O": "asset NONE.glb does not exist",
     "insert CAPTURE --asset TEXT --out O": "TEXT is not one of .glb, .gltf, .obj",
     "insert CAPTURE --asset BROKEN.glb --out O": "BROKEN.glb cannot be read: it is cut short",
-    "insert CAPTURE --asset FACE.obj --out O": "FACE.obj cannot be read: it is damaged",
+    "insert CAPTURE --asset FACE.obj --out O": "FACE.obj has no faces",
     f"{INSERT} --out O --weights-3d slim": "of the 2D stage",
     f"{INSERT} --out O --pose NONE": "--pose NONE does not exist",
     f"{INSERT} --out O --gaussians NONE": "--gaussians NONE does not exist",

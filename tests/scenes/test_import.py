@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from multilight.scenes.assets.cache import tell_thrown_away
 from multilight.scenes.assets.check import check_assets
 from multilight.scenes.assets.environments import read_environment
 from multilight.scenes.assets.formats.intake import Intake
@@ -230,7 +231,7 @@ def test_a_copy_elsewhere_is_the_same(cache: Path, tmp_path: Path) -> None:
     )
 
 
-def test_a_damaged_record_is_made_anew(cache: Path, tmp_path: Path) -> None:
+def test_a_damaged_record_is_made_anew(cache: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = Path(shutil.copy(CASES / "models" / "a09_sparse.glb", tmp_path / "cube.glb"))
     intake = Intake(tmp_path / "cache")
     whole = intake.read(file, tmp_path)
@@ -239,6 +240,8 @@ def test_a_damaged_record_is_made_anew(cache: Path, tmp_path: Path) -> None:
         path.write_bytes(path.read_bytes()[:50])
         again = Intake(tmp_path / "cache").read(file, tmp_path)
         assert [(n.name, len(n.parts[0].faces)) for n in again.nodes] == [(n.name, 12) for n in whole.nodes]
+        tell_thrown_away()
+        assert "a damaged file thrown away" in capsys.readouterr().err
 
 
 def test_what_ends_the_converter_is_named_and_the_rest_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
