@@ -4,6 +4,7 @@ import ast
 import re
 import subprocess
 import sys
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -72,6 +73,24 @@ def test_only_the_room_of_a_renderer_imports_it() -> None:
     for module in FENCED:
         holders = [place for place, allowed in table.items() if module in allowed]
         assert len(holders) <= 2, f"{module} may be imported in {holders}"
+
+
+def test_no_circle_between_folders() -> None:
+    """Each folder of a room, and each file that lies loose in one, comes before all that import it."""
+    homes = {}
+    for path in sources():
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        name = ".".join(("multilight", *(part for part in parts if part not in ("multilight", "__init__"))))
+        homes[name] = home_of(path)
+    needs = {
+        home: {homes[name] for path in sources() if home_of(path) == home for name in imports_of(path) if name in homes}
+        for home in set(homes.values())
+    }
+    TopologicalSorter({home: needed - {home} for home, needed in needs.items()}).prepare()
+
+
+def home_of(path: Path) -> str:
+    return "/".join(path.relative_to(ROOT).with_suffix("").parts[:2])
 
 
 def test_readers_do_not_import_makers() -> None:

@@ -76,10 +76,12 @@ class Usd(_Source):
 
     def run(self) -> int:
         """Write the stages and return the exit code."""
+        from multilight.datagen.production.library import open_library_again
         from multilight.datagen.usd.write import export_usd
 
         with self.opened() as (source, report):
-            made = export_usd(source, self.out, report, scene=self.scene, assets=self.assets)
+            library = open_library_again(source.record, Path(source.address), self.assets)
+            made = export_usd(source, library, self.out, report, scene=self.scene)
         print(f"{self.out}: {len(made)} stages")
         return 0
 

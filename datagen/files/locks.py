@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
-from multilight.datagen.errors import UserError
-from multilight.datagen.storage.store import check_links
+from multilight.datagen.errors import StoreError, UserError
+from multilight.scenes.files.inside import OutsideError, held
 
 LOCK = ".lock"
 
@@ -23,7 +23,7 @@ def locked(root: Path) -> Iterator[None]:
     new = not root.exists()
     try:
         root.mkdir(parents=True, exist_ok=True)
-        check_links(root)
+        _check_links(root)
         lock = _taken(root / LOCK)
     except OSError as error:
         if isinstance(error, BlockingIOError):
@@ -52,3 +52,12 @@ def _taken(path: Path) -> IO[str]:
             lock.close()
             raise
         lock.close()
+
+
+def _check_links(root: Path) -> None:
+    """Raise `StoreError` where something in a dataset's folder is a link that leads out of it, so writing would too."""
+    for path in (p for p in (*root.iterdir(), *root.glob("scenes/*")) if p.is_symlink()):
+        try:
+            held(root, path)
+        except OutsideError as error:
+            raise StoreError(f"{error}; remove the link") from None

@@ -30,7 +30,7 @@ from multilight.datagen.storage.place import find_place
 from multilight.datagen.storage.records import DatasetRecord, SceneRecord
 from multilight.datagen.storage.variants import ALL, RAW, variants_of
 from multilight.scenes.arrays import Float32
-from multilight.scenes.files.inside import OutsideError, held, inside
+from multilight.scenes.files.inside import OutsideError, inside
 from multilight.scenes.files.whole import write_whole
 
 _Record = TypeVar("_Record", SceneRecord, DatasetRecord)
@@ -85,15 +85,6 @@ def file_inside(folder: Path, name: str) -> Path:
         return inside(folder, name)
     except OutsideError as error:
         raise StoreError(f"{folder}: {error}") from None
-
-
-def check_links(root: Path) -> None:
-    """Raise `StoreError` where something in a dataset's folder is a link that leads out of it, so writing would too."""
-    for path in (p for p in (*root.iterdir(), *root.glob("scenes/*")) if p.is_symlink()):
-        try:
-            held(root, path)
-        except OutsideError as error:
-            raise StoreError(f"{error}; remove the link") from None
 
 
 def scene_folder(index: int) -> str:

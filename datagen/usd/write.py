@@ -5,27 +5,25 @@ from pathlib import Path
 from pxr import Usd, UsdValidation
 
 from multilight.datagen.errors import UserError
-from multilight.datagen.production.library import open_library_again
 from multilight.datagen.report import Report
 from multilight.datagen.storage.copies import making
 from multilight.datagen.storage.source import DatasetSource
 from multilight.datagen.usd.stage import STAGE, write_stage
+from multilight.scenes.assets.library import AssetLibrary
 
 
 def export_usd(
-    source: DatasetSource, out: Path, report: Report, *, scene: int | None = None, assets: tuple[Path, ...] = ()
+    source: DatasetSource, library: AssetLibrary, out: Path, report: Report, *, scene: int | None = None
 ) -> list[Path]:
     """Write a stage for each scene of a dataset, or for one; return the stages, `out/scene_000003/scene.usdc`.
 
     A scene's folder appears only when its stage is whole and passes USD's validators; folders that are there, and
-    undamaged, are kept.
-    `assets` are the folders of models that the dataset was made with, and its background where that has moved. Raises
-    `UserError` naming what is wrong.
+    undamaged, are kept. `library` holds the assets that the dataset was made with. Raises `UserError` naming what is
+    wrong.
     """
     if scene is not None and scene not in source.indices:
         raise UserError(f"--scene {scene} is not in {source.address}; it has {len(source.indices)} scene(s)")
     records, total = (source.scenes(), len(source.indices)) if scene is None else (iter([source.scene(scene)]), 1)
-    library = open_library_again(source.record, Path(source.address), assets)
     made = []
     with making(out, "usd", source, {}) as copy:
         for done, record in enumerate(records):

@@ -41,7 +41,7 @@ class Ablate(AblationSettings):
     def _check(self) -> None:
         """Raise `UserError` for whatever can be known to be wrong before the work."""
         from multilight.datagen.files.outputs import check_folder
-        from multilight.model.commands.checks import LEAST_SIDE, MOST_SIDE, check_range, check_splits
+        from multilight.model.configs.checks import LEAST_SIDE, MOST_SIDE, check_range, check_splits
         from multilight.model.configs.ready import weights_config
         from multilight.model.configs.stage2d import NetworkConfig
 

@@ -73,7 +73,7 @@ class Evaluate:
     def _check(self) -> None:
         """Raise `UserError` for whatever can be known to be wrong before the work."""
         from multilight.datagen.files.outputs import check_folder
-        from multilight.model.commands.checks import LEAST_SIDE, MOST_SIDE, check_file, check_range, check_splits
+        from multilight.model.configs.checks import LEAST_SIDE, MOST_SIDE, check_file, check_range, check_splits
         from multilight.model.configs.ready import check_device, weights_config
         from multilight.model.configs.stage2d import NetworkConfig
         from multilight.model.configs.stage3d import SceneNetworkConfig

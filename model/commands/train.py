@@ -36,7 +36,7 @@ class Train:
         from multilight.datagen.config.loading import read_values, validated
         from multilight.datagen.config.table import as_toml
         from multilight.datagen.files.outputs import check_folder
-        from multilight.model.commands.checks import check_training
+        from multilight.model.configs.checks import check_training
         from multilight.model.configs.ready import config_file
         from multilight.model.configs.stage2d import TrainingConfig
         from multilight.model.configs.stage3d import SceneTrainingConfig
