@@ -13,9 +13,9 @@ from multilight.scenes.arrays import Float64, Int64
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.geometry.overlap import boxes_meet, depth, surfaces_cross, touching
 from multilight.scenes.geometry.rays import body_triangles
-from multilight.scenes.geometry.solids import Placed, Solid
+from multilight.scenes.geometry.solids import Placed, Solid, solid_of
 from multilight.scenes.poses import matrix4
-from multilight.scenes.spec import Body, Rectangle, Sphere
+from multilight.scenes.spec import Body, MeshAsset, Rectangle, Sphere
 
 TOLERANCE = 1e-3
 """Overlaps deeper and gaps wider than this [m] are faults."""
@@ -62,15 +62,20 @@ class Solids:
     def place(self, body: Body) -> Placed:
         """Return a body as a solid in the world; a surrounding's rectangles are slabs, others are sheets."""
         pose = np.array(body.world_from_body)
-        scale = float(np.cbrt(np.linalg.det(pose[:3, :3])))
+        scale = round(float(np.cbrt(np.linalg.det(pose[:3, :3]))), 9)
         slab = body.role == "surrounding" and isinstance(body.geometry, Rectangle)
-        key = (body.geometry.canonical_json(), round(scale, 9), slab)
+        key = (body.geometry.canonical_json(), scale, slab)
         if key not in self._made:
-            vertices, faces = self._triangles(body, slab=slab)
-            self._made[key] = Solid(vertices * scale, faces)
+            self._made[key] = self._solid(body, scale, slab=slab)
         rigid = pose.copy()
         rigid[:3, :3] /= scale
         return Placed(self._made[key], rigid)
+
+    def _solid(self, body: Body, scale: float, *, slab: bool) -> Solid:
+        if scale == 1.0 and isinstance(body.geometry, MeshAsset):
+            return solid_of(self._library.mesh(body.geometry.asset))
+        vertices, faces = self._triangles(body, slab=slab)
+        return Solid(vertices * scale, faces)
 
     def _triangles(self, body: Body, *, slab: bool) -> tuple[Float64, Int64]:
         if isinstance(body.geometry, Sphere):

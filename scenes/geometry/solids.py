@@ -17,7 +17,8 @@ from trimesh import Trimesh
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from multilight.scenes.arrays import Float64, Int64, Mask
-from multilight.scenes.meshes import triangle_areas, triangle_crosses
+from multilight.scenes.geometry.support_surfaces import stacked_faces
+from multilight.scenes.meshes import Mesh, once_a_mesh, triangle_areas, triangle_crosses
 from multilight.scenes.poses import apply_pose
 
 MOST_HITS = 200
@@ -128,6 +129,12 @@ class Solid:
             ahead = ((a - origins) * normal).sum(axis=1) / np.where(np.abs(facing) > 1e-30, facing, 1e-30)
             origins = origins + np.clip(ahead, 0.0, None)[:, None] * direction + step * direction
         return count
+
+
+@once_a_mesh
+def solid_of(mesh: Mesh) -> Solid:
+    """Return a whole mesh as a solid."""
+    return Solid(mesh.vertices().astype(np.float64), stacked_faces(mesh))
 
 
 def bvh(vertices: Float64, faces: Int64) -> fcl.BVHModel:
