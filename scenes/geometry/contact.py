@@ -1,6 +1,6 @@
 """What in a scene lies in what, and what carries it: exact, on the true meshes."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Literal
@@ -11,7 +11,7 @@ from trimesh.creation import icosphere
 
 from multilight.scenes.arrays import Float64, Int64
 from multilight.scenes.assets.library import AssetLibrary
-from multilight.scenes.geometry.overlap import boxes_meet, depth, surfaces_cross, touching
+from multilight.scenes.geometry.overlap import boxes_meet, depth, surfaces_cross, touching_in_turn
 from multilight.scenes.geometry.rays import body_triangles
 from multilight.scenes.geometry.solids import Placed, Solid, solid_of
 from multilight.scenes.poses import matrix4
@@ -25,8 +25,6 @@ BACKING = 0.1
 """Thickness [m] behind the rectangles of a surrounding: what pokes through a wall lies in it."""
 
 How = Literal["stands", "held", "hangs"]
-Touches = dict[str, dict[str, Float64]]
-"""For each body the points (N, 3) where it touches each of its neighbours."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +48,29 @@ class ContactReport:
     overlaps: tuple[Overlap, ...]
     unsupported: tuple[str, ...]
     supports: dict[str, How]
+
+
+class Touch:
+    """The points where two bodies touch, looked for only as far as they are asked for."""
+
+    def __init__(self, first: Placed, second: Placed) -> None:
+        self._known: list[Float64] = []
+        self._further = touching_in_turn(first, second, TOLERANCE)
+
+    def in_turn(self) -> Iterator[Float64]:
+        """Yield the points bit by bit, (N, 3) each."""
+        yield from self._known
+        for points in self._further:
+            self._known.append(points)
+            yield points
+
+    def points(self) -> Float64:
+        """Return all points, (N, 3)."""
+        return np.concatenate([np.empty((0, 3)), *self.in_turn()])
+
+
+Touches = dict[str, dict[str, Touch]]
+"""For each body how it touches each of those near it, if it does."""
 
 
 class Solids:
@@ -111,9 +132,7 @@ def check_contacts(bodies: Sequence[Body], library: AssetLibrary) -> ContactRepo
             continue
         if (deep := depth(*pair, ignore=0.9 * TOLERANCE)) > TOLERANCE:
             overlaps.append(Overlap(first, second, deep))
-        points = touching(*pair, reach=TOLERANCE)
-        if len(points):
-            touches[first][second] = touches[second][first] = points
+        touches[first][second] = touches[second][first] = Touch(*pair)
     supports = _carried(placed, touches, fixed)
     free = [name for name in placed if name not in fixed]
     return ContactReport(
@@ -136,6 +155,18 @@ def support_of(placed: Placed, contacts: Sequence[tuple[Placed, Float64]]) -> Ho
     # A bowl in a bowl is held from the sides; what only touches a ceiling could sink.
     sunk = placed.moved(np.array([0.0, 0.0, -SINK]))
     return "held" if any(surfaces_cross(sunk, other) for other, _ in contacts) else None
+
+
+def _stands(placed: Placed, touched: Iterable[Touch]) -> bool:
+    """Tell whether neighbours carry a body that stands, looking for no more contacts than it takes."""
+    centre, below = placed.centre_of_mass, np.empty((0, 3))
+    for touch in touched:
+        for points in touch.in_turn():
+            more = points[points[:, 2] < centre[2]]
+            below = np.concatenate([below, more])
+            if len(more) and _over(below, centre):
+                return True
+    return False
 
 
 def _over(points: Float64, centre: Float64) -> bool:
@@ -171,7 +202,11 @@ def _resting(
     found: dict[str, How] = {}
     for name in waiting:
         body = placed[name]
-        near = {other: points for other, points in touches[name].items() if other in firm}
+        touched = {other: touch for other, touch in touches[name].items() if other in firm}
+        if _stands(body, touched.values()):
+            found[name] = "stands"
+            continue
+        near = {other: points for other, touch in touched.items() if len(points := touch.points())}
         how = support_of(body, [(placed[other], points) for other, points in near.items()])
         if how is None:
             fastened = [points[:, 2].max() for other, points in near.items() if other in fixed]
@@ -189,7 +224,8 @@ def _leaning(
     while group:
         found = _resting(placed, touches, group, firm | group, fixed)
         if set(found) == group:
-            grounded = any(other in firm for name in group for other in touches[name])
+            touched = ((other, touch) for name in group for other, touch in touches[name].items())
+            grounded = any(other in firm and len(touch.points()) for other, touch in touched)
             return found if grounded else {}
         group = set(found)
     return {}

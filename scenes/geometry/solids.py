@@ -181,13 +181,17 @@ class Placed:
     @cached_property
     def box(self) -> tuple[Float64, Float64]:
         """Lowest and highest corner of the box about it in the world, (3,) each, metres."""
-        points = apply_pose(self.pose, self.solid.vertices)
-        return points.min(axis=0), points.max(axis=0)
+        return self.vertices.min(axis=0), self.vertices.max(axis=0)
+
+    @cached_property
+    def vertices(self) -> Float64:
+        """The vertices in the world, (V, 3) [m]."""
+        return apply_pose(self.pose, self.solid.vertices)
 
     @cached_property
     def triangles(self) -> Float64:
         """The triangles in the world, (F, 3, 3) [m]."""
-        return apply_pose(self.pose, self.solid.vertices)[self.solid.faces]
+        return self.vertices[self.solid.faces]
 
     @cached_property
     def _boxes(self) -> tuple[Float64, Float64]:
