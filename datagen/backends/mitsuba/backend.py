@@ -58,7 +58,7 @@ class MitsubaBackend:
         action, name = split_variant(job.scene, job.variant)
         camera = view_camera(job)
         dr.set_thread_count(job.settings.threads or dr.thread_count())
-        synced = self._sync(job)
+        synced = self.prepare(job)
         film = synced.view(job.view, job.settings)
         layers = film.mean((action, name or ""))
         albedo, normal = film.mean(("guides", name if name and action == "without" else ""))
@@ -75,7 +75,8 @@ class MitsubaBackend:
         coverage, shown = np.moveaxis(film.mean(("masks", name))[0, ..., :2], -1, 0)
         return replace(stack, shown=shown) if action == "without" else replace(stack, coverage=coverage)
 
-    def _sync(self, job: RenderJob) -> "_Synced":
+    def prepare(self, job: RenderJob) -> "_Synced":
+        """Put a job's scene on the device, if it is not there; rendering does so too."""
         if self.synced is None or (self.synced.scene, self.synced.rig) != (job.scene, job.rig):
             self.synced = None  # frees the device first
             self.synced = _Synced(job.scene, job.rig, self)
