@@ -95,11 +95,11 @@ class MitsubaBackend:
         fixed = accelerate(arrays, ~changing)
 
         def world(removed: str | None) -> World:
-            there = ~arrays.of_bodies([] if removed is None else [removed])
-            whole = accelerate(arrays, there)
-            if whole is None:
+            there = changing & ~arrays.of_bodies([] if removed is None else [removed])
+            others = accelerate(arrays, there)
+            if fixed is None and others is None:
                 raise BackendError(f"the scene has no triangles without {removed!r}")
-            return World(whole, fixed, accelerate(arrays, changing & there), surfaces, emitters, self._tables, seen)
+            return World(fixed, others, surfaces, emitters, self._tables, seen)
 
         return {removed: world(removed) for removed in (None, *scene.insertable)}
 
