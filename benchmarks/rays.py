@@ -59,7 +59,7 @@ def counted(world: World, counter: mi.UInt32) -> World:
         return replace(triangles, scene=Counting(triangles.scene, counter))
 
     fixed, changing = (soup and count(soup) for soup in (world.fixed, world.changing))
-    return replace(world, whole=count(world.whole), fixed=fixed, changing=changing)
+    return replace(world, fixed=fixed, changing=changing)
 
 
 def bare(world: World, points: np.ndarray, count: int) -> float:
@@ -73,8 +73,7 @@ def bare(world: World, points: np.ndarray, count: int) -> float:
     for _ in range(4):
         dr.sync_thread()
         start = time.process_time()
-        found = world.whole.scene.ray_intersect_preliminary(ray)
-        dr.eval(found.t)
+        dr.eval(world.nearest(ray, mi.Bool(True)).t)
         dr.sync_thread()
         seconds.append(time.process_time() - start)
     return count / min(seconds)
@@ -107,7 +106,7 @@ def main(options: Options) -> None:
     rays = int(counter[0])
     positions = np.concatenate([body_triangles(body, library)[0] for body in bodies])
     floor = bare(whole, positions, 1 << 21)
-    triangles = dr.width(whole.whole.original)
+    triangles = sum(dr.width(soup.original) for soup in (whole.fixed, whole.changing) if soup)
     print(f"{len(rig.lights)} lights, {triangles} triangles, {options.spp} spp, {len(views)} views")
     million = rays / 1e6
     print(f"paths: {million / seconds:.1f} million rays a core-second ({million / len(views):.1f} million a view)")

@@ -1,10 +1,11 @@
 """Triangle meshes as backends receive them, and the plain shapes as meshes."""
 
 import hashlib
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from functools import wraps
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.lib.npyio import NpzFile
@@ -16,6 +17,9 @@ from multilight.scenes.frozen import Frozen
 from multilight.scenes.spec import Material, Rectangle, Sphere
 
 Real = TypeVar("Real", np.float32, np.float64)
+P = ParamSpec("P")
+T = TypeVar("T")
+Number = TypeVar("Number", bound=np.generic)
 
 
 @dataclass(frozen=True)
@@ -40,25 +44,49 @@ class MeshPart:
         return self.vertices[self.faces]
 
 
+def once_a_mesh(make: Callable[Concatenate["Mesh", P], T]) -> Callable[Concatenate["Mesh", P], T]:
+    """Work a thing out once for a mesh (and what else it is asked with), and keep it as long as the mesh lives.
+
+    Nobody may change what comes back.
+    """
+
+    @wraps(make)
+    def recall(mesh: "Mesh", *args: P.args, **kwargs: P.kwargs) -> T:
+        key = (make, args, *kwargs.items())
+        if key not in mesh.kept:
+            mesh.kept[key] = make(mesh, *args, **kwargs)
+        found: T = mesh.kept[key]
+        return found
+
+    return recall
+
+
 @dataclass(frozen=True)
 class Mesh:
-    """The parts of one asset, in the body's frame: metres, Z-up, standing on z = 0, centred in x and y."""
+    """The parts of one asset, in the body's frame: metres, Z-up, standing on z = 0, centred in x and y.
+
+    `kept` is what `once_a_mesh` has worked out.
+    """
 
     parts: tuple[MeshPart, ...]
+    kept: dict[Any, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
+    @once_a_mesh
     def vertices(self) -> Float32:
         """Stack all parts' vertices, (N, 3) float32, metres."""
-        return np.concatenate([part.vertices for part in self.parts])
+        return read_only(np.concatenate([part.vertices for part in self.parts]))
 
     def part_of_face(self) -> Int64:
         """Return the part that each face belongs to, all parts' faces stacked, (F,) int64."""
         return np.repeat(np.arange(len(self.parts)), [len(part.faces) for part in self.parts])
 
+    @once_a_mesh
     def bounds(self) -> Float32:
         """Return the lowest and the highest corner, (2, 3) float32, metres."""
         points = self.vertices()
-        return np.stack([points.min(axis=0), points.max(axis=0)])
+        return read_only(np.stack([points.min(axis=0), points.max(axis=0)]))
 
+    @once_a_mesh
     def sha256(self) -> str:
         """Hash the arrays and the materials (64 hex digits)."""
         digest = hashlib.sha256()
@@ -76,6 +104,12 @@ def stacked(pieces: Iterable[tuple[NDArray[Real], NDArray[np.integer]]]) -> tupl
     starts = np.cumsum([0] + [len(vertices) for vertices, _ in pieces[:-1]])
     faces = [faces.astype(np.int64) + start for (_, faces), start in zip(pieces, starts, strict=True)]
     return np.concatenate([vertices for vertices, _ in pieces]), np.concatenate(faces)
+
+
+def read_only(array: NDArray[Number]) -> NDArray[Number]:
+    """Return an array that several share, so that none of them can change it."""
+    array.setflags(write=False)
+    return array
 
 
 def triangle_crosses(triangles: NDArray[Real]) -> NDArray[Real]:
@@ -147,7 +181,15 @@ def load_mesh(path: Path) -> Mesh:
             raise ValueError("it is no NPZ file")
         header = _Header.from_json(data["header"].tobytes().decode())
         parts = tuple(
-            MeshPart(name, data[f"v{i}"], data[f"f{i}"], data[f"n{i}"], data[f"t{i}"], material, data.get(f"c{i}"))
+            MeshPart(
+                name,
+                read_only(data[f"v{i}"]),
+                read_only(data[f"f{i}"]),
+                read_only(data[f"n{i}"]),
+                read_only(data[f"t{i}"]),
+                material,
+                read_only(data[f"c{i}"]) if f"c{i}" in data else None,
+            )
             for i, (name, material) in enumerate(zip(header.names, header.materials, strict=True))
         )
     for part in parts:

@@ -1,5 +1,7 @@
 """Shared fixtures: a small closed-form dataset that needs no renderer."""
 
+import ctypes
+import gc
 import os
 import shutil
 import sys
@@ -47,6 +49,16 @@ def pytest_cmdline_main() -> Iterator[None]:
         sys.stderr.flush()
         os._exit(int(status or 0))
     return status
+
+
+@pytest.fixture(scope="module", autouse=True)
+def memory_given_back() -> Iterator[None]:
+    """Give back after each file what renderers and the allocator keep for reuse: a process of the tests stays small."""
+    yield
+    gc.collect()
+    if "drjit" in sys.modules:
+        sys.modules["drjit"].flush_malloc_cache()
+    ctypes.CDLL(None).malloc_trim(0)
 
 
 @pytest.fixture(scope="session")

@@ -2,6 +2,8 @@
 
 import os
 import shutil
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -47,7 +49,7 @@ class SceneFailedError(UserError):
 
 @dataclass(frozen=True)
 class SceneMaker:
-    """What is needed to make any scene of a dataset."""
+    """What is needed to make any scene of a dataset; `clock` is what its stages are timed by."""
 
     config: DatasetConfig
     renderer: RendererName
@@ -55,6 +57,7 @@ class SceneMaker:
     library: AssetLibrary
     backend: Backend
     threads: int
+    clock: Callable[[], float] = time.perf_counter
 
     @property
     def denoises(self) -> bool:
@@ -65,7 +68,7 @@ class SceneMaker:
 
 @dataclass(frozen=True)
 class Made:
-    """A finished scene: the seconds that rendering, denoising and the rest took, and why draws were thrown away."""
+    """A finished scene: the seconds that its stages took, and why draws were thrown away."""
 
     seconds: dict[str, float]
     thrown_away: tuple[str, ...]
@@ -118,7 +121,7 @@ def make_scene(maker: SceneMaker, index: int) -> Made:
     most `ATTEMPTS` times; raises `SceneFailedError` with the faults, or `UserError` when the output is full.
     """
     work = maker.root / "work" / f"{index:06d}-{os.getpid()}"
-    watch = Stopwatch()
+    watch = Stopwatch(maker.clock)
     thrown_away: tuple[str, ...] = ()
     for attempt in range(ATTEMPTS):
         try:
@@ -153,9 +156,10 @@ def _write_scene(
     maker: SceneMaker, streams: Streams, work: Path, watch: Stopwatch, thrown_away: tuple[str, ...]
 ) -> list[Fault]:
     """Draw and render a scene into a folder, view by view; return the faults of the first view that has any."""
-    record = _draw(maker, streams).model_copy(update={"thrown_away": thrown_away})
-    # What is imported is taken as it is.
-    faults = [] if maker.config.kind == "imported" else contact_faults(record.scene, maker.library)
+    with watch.stage("draw"):
+        record = _draw(maker, streams).model_copy(update={"thrown_away": thrown_away})
+    with watch.stage("contacts"):  # what is imported is taken as it is
+        faults = [] if maker.config.kind == "imported" else contact_faults(record.scene, maker.library)
     if faults:
         return faults
     setup = SceneSetup(
@@ -171,12 +175,14 @@ def _write_scene(
     for number in range(len(record.scene.cameras)):
         rendered = render_view(setup, number, watch)
         path = work / view_file(number)
-        write_view(path, rendered.data)
-        record = record.model_copy(update={"views": (*record.views, _view_record(record.scene, path, rendered))})
-        view = read_view(path)
-        faults = verify_rendered(record, number, view, rendered.data)
-        if before is not None:
-            faults += verify_pair(record, (number - 1, before), (number, view))
+        with watch.stage("write"):
+            write_view(path, rendered.data)
+            record = record.model_copy(update={"views": (*record.views, _view_record(record.scene, path, rendered))})
+        with watch.stage("verify"):
+            view = read_view(path)
+            faults = verify_rendered(record, number, view, rendered.data)
+            if before is not None:
+                faults += verify_pair(record, (number - 1, before), (number, view))
         if faults:
             return faults
         before = view

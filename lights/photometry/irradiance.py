@@ -2,7 +2,8 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
+from pathlib import Path
 
 import numpy as np
 from PIL import Image
@@ -13,7 +14,7 @@ from multilight.scenes.assets.environments import read_environment
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.colour import luminance
 from multilight.scenes.geometry.rays import SceneRays, body_triangles, part_triangles
-from multilight.scenes.meshes import triangle_crosses
+from multilight.scenes.meshes import read_only, triangle_crosses
 from multilight.scenes.numbers import smoothstep
 from multilight.scenes.poses import apply_pose
 from multilight.scenes.spec import SceneSpec
@@ -179,10 +180,15 @@ class LightMeter:
 
 def small_map(library: AssetLibrary, environment: str) -> Float64:
     """Read an environment map, averaged to `SKY_ROWS` x 2 `SKY_ROWS` pixels: (rows, columns, 3) float64."""
-    image = read_environment(library.environment_path(environment)).astype(np.float64)
+    return _small_map(library.environment_path(environment))
+
+
+@lru_cache(maxsize=256)
+def _small_map(path: Path) -> Float64:
+    image = read_environment(path).astype(np.float64)
     rows = np.array_split(image, SKY_ROWS, axis=0)
     columns = [np.array_split(row.mean(axis=0), 2 * SKY_ROWS, axis=0) for row in rows]
-    return np.array([[cell.mean(axis=0) for cell in row] for row in columns])
+    return read_only(np.array([[cell.mean(axis=0) for cell in row] for row in columns]))
 
 
 def map_directions(rotation: float) -> tuple[Float64, Float64]:

@@ -14,6 +14,7 @@ from multilight.scenes.assets.environments import PmndrsPack
 from multilight.scenes.assets.fetch import SOURCES, is_fetched, pack_folder, pack_record
 from multilight.scenes.assets.formats.scene_file import Note
 from multilight.scenes.assets.info import AssetError, AssetInfo, AssetRole
+from multilight.scenes.assets.memory import MeshMemory
 from multilight.scenes.assets.packs.background import BackgroundPack
 from multilight.scenes.assets.packs.folder import FolderPack
 from multilight.scenes.assets.packs.pack import Pack
@@ -67,6 +68,7 @@ class AssetLibrary:
         self.broken: dict[str, str] = {}
         self._only_own = only_own
         self.split: Split | None = None
+        self._memory = MeshMemory()
         if only_own:
             packs = (BuiltinPack.name,)
         wanted = (BuiltinPack.name, *(n for n in SOURCES if is_fetched(n, self.cache))) if packs is None else packs
@@ -124,8 +126,13 @@ class AssetLibrary:
         pack, name = self._pack(asset)
         key = hashlib.sha256(f"{name} {pack.mesh_key(name)}".encode()).hexdigest()[:24]
         path = self.cache / "meshes" / info.pack / f"{key}.npz"
+        return self._memory.recall(path, lambda: self._loaded(asset, path))
+
+    def _loaded(self, asset: str, path: Path) -> Mesh:
+        """Load a model from the file of the cache, which is made first where it is not there."""
         if (stored := read_kept(path, load_mesh)) is not None:
             return stored
+        pack, name = self._pack(asset)
         with self._noting(asset):
             mesh = pack.mesh(name)
         try:

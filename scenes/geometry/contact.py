@@ -1,6 +1,6 @@
 """What in a scene lies in what, and what carries it: exact, on the true meshes."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Literal
@@ -11,11 +11,11 @@ from trimesh.creation import icosphere
 
 from multilight.scenes.arrays import Float64, Int64
 from multilight.scenes.assets.library import AssetLibrary
-from multilight.scenes.geometry.overlap import boxes_meet, depth, surfaces_cross, touching
+from multilight.scenes.geometry.overlap import boxes_meet, depth, surfaces_cross, touching_in_turn
 from multilight.scenes.geometry.rays import body_triangles
-from multilight.scenes.geometry.solids import Placed, Solid
+from multilight.scenes.geometry.solids import Placed, Solid, solid_of
 from multilight.scenes.poses import matrix4
-from multilight.scenes.spec import Body, Rectangle, Sphere
+from multilight.scenes.spec import Body, MeshAsset, Rectangle, Sphere
 
 TOLERANCE = 1e-3
 """Overlaps deeper and gaps wider than this [m] are faults."""
@@ -25,8 +25,6 @@ BACKING = 0.1
 """Thickness [m] behind the rectangles of a surrounding: what pokes through a wall lies in it."""
 
 How = Literal["stands", "held", "hangs"]
-Touches = dict[str, dict[str, Float64]]
-"""For each body the points (N, 3) where it touches each of its neighbours."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +50,29 @@ class ContactReport:
     supports: dict[str, How]
 
 
+class Touch:
+    """The points where two bodies touch, looked for only as far as they are asked for."""
+
+    def __init__(self, first: Placed, second: Placed) -> None:
+        self._known: list[Float64] = []
+        self._further = touching_in_turn(first, second, TOLERANCE)
+
+    def in_turn(self) -> Iterator[Float64]:
+        """Yield the points bit by bit, (N, 3) each."""
+        yield from self._known
+        for points in self._further:
+            self._known.append(points)
+            yield points
+
+    def points(self) -> Float64:
+        """Return all points, (N, 3)."""
+        return np.concatenate([np.empty((0, 3)), *self.in_turn()])
+
+
+Touches = dict[str, dict[str, Touch]]
+"""For each body how it touches each of those near it, if it does."""
+
+
 class Solids:
     """Makes bodies into solids, each geometry once."""
 
@@ -62,15 +83,20 @@ class Solids:
     def place(self, body: Body) -> Placed:
         """Return a body as a solid in the world; a surrounding's rectangles are slabs, others are sheets."""
         pose = np.array(body.world_from_body)
-        scale = float(np.cbrt(np.linalg.det(pose[:3, :3])))
+        scale = round(float(np.cbrt(np.linalg.det(pose[:3, :3]))), 9)
         slab = body.role == "surrounding" and isinstance(body.geometry, Rectangle)
-        key = (body.geometry.canonical_json(), round(scale, 9), slab)
+        key = (body.geometry.canonical_json(), scale, slab)
         if key not in self._made:
-            vertices, faces = self._triangles(body, slab=slab)
-            self._made[key] = Solid(vertices * scale, faces)
+            self._made[key] = self._solid(body, scale, slab=slab)
         rigid = pose.copy()
         rigid[:3, :3] /= scale
         return Placed(self._made[key], rigid)
+
+    def _solid(self, body: Body, scale: float, *, slab: bool) -> Solid:
+        if scale == 1.0 and isinstance(body.geometry, MeshAsset):
+            return solid_of(self._library.mesh(body.geometry.asset))
+        vertices, faces = self._triangles(body, slab=slab)
+        return Solid(vertices * scale, faces)
 
     def _triangles(self, body: Body, *, slab: bool) -> tuple[Float64, Int64]:
         if isinstance(body.geometry, Sphere):
@@ -106,9 +132,7 @@ def check_contacts(bodies: Sequence[Body], library: AssetLibrary) -> ContactRepo
             continue
         if (deep := depth(*pair, ignore=0.9 * TOLERANCE)) > TOLERANCE:
             overlaps.append(Overlap(first, second, deep))
-        points = touching(*pair, reach=TOLERANCE)
-        if len(points):
-            touches[first][second] = touches[second][first] = points
+        touches[first][second] = touches[second][first] = Touch(*pair)
     supports = _carried(placed, touches, fixed)
     free = [name for name in placed if name not in fixed]
     return ContactReport(
@@ -131,6 +155,18 @@ def support_of(placed: Placed, contacts: Sequence[tuple[Placed, Float64]]) -> Ho
     # A bowl in a bowl is held from the sides; what only touches a ceiling could sink.
     sunk = placed.moved(np.array([0.0, 0.0, -SINK]))
     return "held" if any(surfaces_cross(sunk, other) for other, _ in contacts) else None
+
+
+def _stands(placed: Placed, touched: Iterable[Touch]) -> bool:
+    """Tell whether neighbours carry a body that stands, looking for no more contacts than it takes."""
+    centre, below = placed.centre_of_mass, np.empty((0, 3))
+    for touch in touched:
+        for points in touch.in_turn():
+            more = points[points[:, 2] < centre[2]]
+            below = np.concatenate([below, more])
+            if len(more) and _over(below, centre):
+                return True
+    return False
 
 
 def _over(points: Float64, centre: Float64) -> bool:
@@ -166,7 +202,11 @@ def _resting(
     found: dict[str, How] = {}
     for name in waiting:
         body = placed[name]
-        near = {other: points for other, points in touches[name].items() if other in firm}
+        touched = {other: touch for other, touch in touches[name].items() if other in firm}
+        if _stands(body, touched.values()):
+            found[name] = "stands"
+            continue
+        near = {other: points for other, touch in touched.items() if len(points := touch.points())}
         how = support_of(body, [(placed[other], points) for other, points in near.items()])
         if how is None:
             fastened = [points[:, 2].max() for other, points in near.items() if other in fixed]
@@ -184,7 +224,8 @@ def _leaning(
     while group:
         found = _resting(placed, touches, group, firm | group, fixed)
         if set(found) == group:
-            grounded = any(other in firm for name in group for other in touches[name])
+            touched = ((other, touch) for name in group for other, touch in touches[name].items())
+            grounded = any(other in firm and len(touch.points()) for other, touch in touched)
             return found if grounded else {}
         group = set(found)
     return {}

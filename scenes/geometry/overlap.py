@@ -10,7 +10,7 @@ import fcl
 import numpy as np
 from trimesh.triangles import closest_point
 
-from multilight.scenes.arrays import Float64, Int64
+from multilight.scenes.arrays import Float64, Int64, Mask
 from multilight.scenes.geometry.solids import Placed, Solid, bvh
 from multilight.scenes.meshes import triangle_crosses
 from multilight.scenes.poses import apply_pose
@@ -22,13 +22,29 @@ NEGLIGIBLE = 3e-4
 MOST_TRIANGLES = 60_000
 """Pieces looked at in one round before a search settles for the accuracy reached."""
 
+CELLS = 32
+"""Cells along each side of the grid by which triangles that lie apart are left out."""
+FEW = 500
+"""So few triangles are asked about at once."""
 MOST_FINE = 2000
 """Of a mesh's fine triangles so many are enough to tell where it touches another."""
 
 
+Box = tuple[Float64, Float64]
+"""Lowest and highest corner, (3,) each."""
+
+
 def boxes_meet(first: Placed, second: Placed, reach: float = 0.0) -> bool:
     """Tell whether the boxes about two solids come within `reach` [m] of each other."""
-    (low, high), (other_low, other_high) = first.box, second.box
+    if not _meet(first.box, second.box, reach):
+        return False
+    # What stands askew has a large box: compare in the frames of both.
+    pairs = ((first, second), (second, first))
+    return all(_meet((a.solid.low, a.solid.high), _box(_local(b.vertices, a)), reach) for a, b in pairs)
+
+
+def _meet(first: Box, second: Box, reach: float) -> bool:
+    (low, high), (other_low, other_high) = first, second
     return bool((low <= other_high + reach).all() and (other_low <= high + reach).all())
 
 
@@ -38,14 +54,52 @@ def surfaces_cross(first: Placed, second: Placed) -> bool:
         return _cut(first.collider, second.collider)
     # Trees over large meshes cost more than the question: take only what lies in the box of what lies in the box.
     one = first.triangles_near(*second.box)
-    for _ in range(2):
-        if not len(one):
+    other = second.triangles_near(*_box(one)) if len(one) else one
+    for frame in (first, second):
+        if not len(one) or not len(other):
             return False
-        other = second.triangles_near(*_box(one))
-        if not len(other):
-            return False
-        one = first.triangles_near(*_box(other))
-    return len(one) > 0 and _cut(_collider(one), _collider(other))
+        if len(one) + len(other) < FEW:
+            break
+        keep, keep_other = _sharing_cells(_local(one, frame), _local(other, frame))
+        one, other = one[keep], other[keep_other]
+    return len(one) > 0 and len(other) > 0 and _cut(_collider(one), _collider(other))
+
+
+def _sharing_cells(one: Float64, other: Float64) -> tuple[Mask, Mask]:
+    """Tell of triangles (T, 3, 3) and (U, 3, 3) which have boxes that share a cell of a grid with one of the others."""
+    boxes = [(triangles.min(axis=1), triangles.max(axis=1)) for triangles in (one, other)]
+    low = np.maximum(*(lowest.min(axis=0) for lowest, _ in boxes))
+    high = np.minimum(*(highest.max(axis=0) for _, highest in boxes))
+    side = np.maximum(high - low, 1e-9) / CELLS
+    inside = [(lowest <= high).all(axis=1) & (highest >= low).all(axis=1) for lowest, highest in boxes]
+    cells = [
+        [np.clip((corner[keep] - low) / side, 0, CELLS - 1).astype(np.int64) for corner in box]
+        for box, keep in zip(boxes, inside, strict=True)
+    ]
+    for mask, own, others in zip(inside, cells, cells[::-1], strict=True):
+        before = _boxes_before(others)
+        mask[mask] = sum(sign * before[corner] for sign, corner in _corners(*own)) > 0
+    return inside[0], inside[1]
+
+
+def _corners(first: Int64, last: Int64) -> Iterator[tuple[int, Int64]]:
+    """Yield the corners of boxes of cells (N, 3): a sign, and the numbers (N,) of grid points.
+
+    A sum over a box is the sum over corners of the sign times the sum over all cells before the point.
+    """
+    for upper in np.ndindex(2, 2, 2):
+        x, y, z = np.where(upper, last + 1, first).T
+        yield (-1) ** (3 - sum(upper)), (x * (CELLS + 1) + y) * (CELLS + 1) + z
+
+
+def _boxes_before(cells: list[Int64]) -> Int64:
+    """Sum, over all cells before each point of the grid, in how many boxes each cell lies, ((CELLS + 1)³,)."""
+    points = (CELLS + 1) ** 3
+    steps = np.zeros(points, np.int64)
+    for sign, corner in _corners(*cells):
+        steps -= sign * np.bincount(corner, minlength=points)
+    boxes = steps.reshape(CELLS + 1, CELLS + 1, CELLS + 1).cumsum(0).cumsum(1).cumsum(2)[:-1, :-1, :-1]
+    return np.pad(boxes.cumsum(0).cumsum(1).cumsum(2), ((1, 0),) * 3).ravel()
 
 
 def _cut(first: fcl.CollisionObject, second: fcl.CollisionObject) -> bool:
@@ -118,9 +172,9 @@ def _poke(first: Placed, second: Placed) -> float:
     return min(float(distance[above].max()), float(distance[~above].max()))
 
 
-def _box(triangles: Float64) -> tuple[Float64, Float64]:
-    """Return the lowest and the highest corner of triangles (T, 3, 3), (3,) each."""
-    points = triangles.reshape(-1, 3)
+def _box(points: Float64) -> Box:
+    """Return the box about points (..., 3)."""
+    points = points.reshape(-1, 3)
     return points.min(axis=0), points.max(axis=0)
 
 
@@ -188,35 +242,38 @@ def touching(first: Placed, second: Placed, reach: float = 1e-3) -> Float64:
 
     Dense enough that their convex hull is that of the contact to within a twelfth of its size.
     """
-    if not boxes_meet(first, second, reach):
-        return np.empty((0, 3))
-    pairs = ((first, second), (second, first))
-    return np.concatenate([apply_pose(outer.pose, _close_points(inner, outer, reach)) for inner, outer in pairs])
+    return np.concatenate([np.empty((0, 3)), *touching_in_turn(first, second, reach)])
 
 
-def _close_points(inner: Placed, around: Placed, reach: float) -> Float64:
-    """Return points of `inner`'s surface within `reach` [m] of `around`'s, in the frame of the latter, (N, 3)."""
+def touching_in_turn(first: Placed, second: Placed, reach: float = 1e-3) -> Iterator[Float64]:
+    """Yield what `touching` returns bit by bit, for those to whom fewer points may do."""
+    if boxes_meet(first, second, reach):
+        for inner, outer in ((first, second), (second, first)):
+            for points in _close_points(inner, outer, reach):
+                yield apply_pose(outer.pose, points)
+
+
+def _close_points(inner: Placed, around: Placed, reach: float) -> Iterator[Float64]:
+    """Yield points of `inner`'s surface within `reach` [m] of `around`'s, in the frame of the latter, (N, 3)."""
     (low, high), (own_low, own_high), outer = around.box, inner.box, around.solid
     finest = max(0.003, float((np.minimum(high, own_high) - np.maximum(low, own_low)).max()) / 12)
     near = _thinned(_local(inner.triangles_near(low - reach, high + reach), around), finest)
-    found = [np.empty((0, 3))]
     for triangles, centre, radius, keep in _rounds(near):
         distance, face = outer.distance(centre)
         close = distance - radius <= reach
         triangles, face, radius = triangles[close], face[close], radius[close]
-        found.append(centre[close][distance[close] <= reach])
+        yield centre[close][distance[close] <= reach]
         if not len(triangles):
             break
         # A triangle wholly close to one face is close everywhere: its corners say all.
         whole = _reach_from(outer, face, triangles) <= reach
-        found.append(triangles[whole].reshape(-1, 3))
+        yield triangles[whole].reshape(-1, 3)
         rest = triangles[~whole & (radius > finest)]
         corners = triangles[~whole & (radius <= finest)].reshape(-1, 3)
         if len(corners):
-            found.append(corners[outer.distance(corners)[0] <= reach])
+            yield corners[outer.distance(corners)[0] <= reach]
         if len(rest):
             keep.append(rest)
-    return np.concatenate(found)
 
 
 def _thinned(triangles: Float64, finest: float) -> Float64:

@@ -17,7 +17,8 @@ from trimesh import Trimesh
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from multilight.scenes.arrays import Float64, Int64, Mask
-from multilight.scenes.meshes import triangle_areas, triangle_crosses
+from multilight.scenes.geometry.support_surfaces import stacked_faces
+from multilight.scenes.meshes import Mesh, once_a_mesh, triangle_areas, triangle_crosses
 from multilight.scenes.poses import apply_pose
 
 MOST_HITS = 200
@@ -130,6 +131,12 @@ class Solid:
         return count
 
 
+@once_a_mesh
+def solid_of(mesh: Mesh) -> Solid:
+    """Return a whole mesh as a solid."""
+    return Solid(mesh.vertices().astype(np.float64), stacked_faces(mesh))
+
+
 def bvh(vertices: Float64, faces: Int64) -> fcl.BVHModel:
     """Build the collision library's tree of triangles."""
     model = fcl.BVHModel()
@@ -174,13 +181,17 @@ class Placed:
     @cached_property
     def box(self) -> tuple[Float64, Float64]:
         """Lowest and highest corner of the box about it in the world, (3,) each, metres."""
-        points = apply_pose(self.pose, self.solid.vertices)
-        return points.min(axis=0), points.max(axis=0)
+        return self.vertices.min(axis=0), self.vertices.max(axis=0)
+
+    @cached_property
+    def vertices(self) -> Float64:
+        """The vertices in the world, (V, 3) [m]."""
+        return apply_pose(self.pose, self.solid.vertices)
 
     @cached_property
     def triangles(self) -> Float64:
         """The triangles in the world, (F, 3, 3) [m]."""
-        return apply_pose(self.pose, self.solid.vertices)[self.solid.faces]
+        return self.vertices[self.solid.faces]
 
     @cached_property
     def _boxes(self) -> tuple[Float64, Float64]:

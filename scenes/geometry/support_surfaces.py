@@ -12,7 +12,7 @@ from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from multilight.scenes.arrays import Float64, Int64, Mask
 from multilight.scenes.errors import MultilightError
-from multilight.scenes.meshes import Mesh, stacked, triangle_crosses
+from multilight.scenes.meshes import Mesh, once_a_mesh, read_only, stacked, triangle_crosses
 
 CELL = 0.01
 """Grid [m] on which surfaces are looked for."""
@@ -75,6 +75,7 @@ class SupportSurface:
         return bool((self.edge_distance(rings) > margin).all())
 
 
+@once_a_mesh
 def find_support(mesh: Mesh, *, smallest: float = 0.4) -> SupportSurface:
     """Find the largest free flat region that rays from above reach, `smallest` x `smallest` metres at least.
 
@@ -147,14 +148,21 @@ def largest_square(region: Mask) -> int:
     return fits
 
 
+@once_a_mesh
 def stacked_faces(mesh: Mesh) -> Int64:
     """Stack all parts' faces, (F, 3) int64, as indices into `mesh.vertices()`."""
-    return stacked((part.vertices, part.faces) for part in mesh.parts)[1]
+    return read_only(stacked((part.vertices, part.faces) for part in mesh.parts)[1])
 
 
 def as_trimesh(mesh: Mesh) -> Trimesh:
     """Return all parts of a mesh as one, nothing about it changed."""
     return Trimesh(mesh.vertices(), stacked_faces(mesh), process=False)
+
+
+@once_a_mesh
+def convex_hull(mesh: Mesh) -> Trimesh:
+    """Return the convex hull of a mesh."""
+    return as_trimesh(mesh).convex_hull
 
 
 def stands(vertices: Float64, centres: Iterable[Float64], *, contact: float) -> bool:

@@ -16,8 +16,8 @@ from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.assets.library import AssetError, AssetLibrary
 from multilight.scenes.geometry.overlap import boxes_meet, gap
-from multilight.scenes.geometry.solids import Placed, Solid
-from multilight.scenes.geometry.support_surfaces import as_trimesh, convex_polygon, stacked_faces
+from multilight.scenes.geometry.solids import Placed, Solid, solid_of
+from multilight.scenes.geometry.support_surfaces import as_trimesh, convex_polygon
 from multilight.scenes.materials import body_materials
 from multilight.scenes.meshes import Mesh
 from multilight.scenes.names import free_name
@@ -71,7 +71,7 @@ class Pile:
     @cached_property
     def loose(self) -> tuple[int, ...]:
         """Numbers of the members that carry no other: only those can be taken away."""
-        placed = [Placed(_solid(m.mesh), m.pile_from_body) for m in self.members]
+        placed = [Placed(solid_of(m.mesh), m.pile_from_body) for m in self.members]
         return tuple(
             number
             for number, item in enumerate(placed)
@@ -133,10 +133,6 @@ def sample_pile(rng: Rng, library: AssetLibrary, *, kind: PileKind | None = None
     return pile
 
 
-def _solid(mesh: Mesh) -> Solid:
-    return Solid(mesh.vertices().astype(np.float64), stacked_faces(mesh))
-
-
 def _plane() -> Placed:
     """Return the plane on which piles are built, as a slab."""
     slab = box((3.0, 3.0, 0.1))
@@ -179,8 +175,8 @@ def _fruit_bowl(rng: Rng, library: AssetLibrary) -> Pile:
         chosen.append(item)
     radius = float((high - low)[:2].min()) / 2
     region = Region((0.0, 0.0), 1.1 * radius)
-    bowl = Placed(_solid(mesh), np.eye(4))
-    settled = settle(rng, [_solid(m) for _, m in chosen], [_plane(), bowl], region, spread=0.35 * radius)
+    bowl = Placed(solid_of(mesh), np.eye(4))
+    settled = settle(rng, [solid_of(m) for _, m in chosen], [_plane(), bowl], region, spread=0.35 * radius)
 
     # What came to rest beside the bowl is dropped; what is in it does not rest on that.
     def inside(pose: Float64 | None) -> bool:
@@ -203,7 +199,7 @@ def _heap(rng: Rng, library: AssetLibrary) -> Pile:
     toys = _suitable(library, _TOYS, (0.025, 0.11))
     chosen = [_pick(rng, toys, "toys") for _ in range(int(rng.integers(8, 14)))]
     region = Region((0.0, 0.0), WIDEST / 2)
-    settled = settle(rng, [_solid(m) for _, m in chosen], [_plane()], region, spread=0.05 * WIDEST)
+    settled = settle(rng, [solid_of(m) for _, m in chosen], [_plane()], region, spread=0.05 * WIDEST)
     found = [pose[:2, 3] for pose in settled.poses if pose is not None]
     shift = translation((*-np.mean(found, axis=0), 0.0)) if found else np.eye(4)
     return _pile("toys", chosen, [None if pose is None else shift @ pose for pose in settled.poses])
@@ -215,9 +211,7 @@ def _books(rng: Rng, library: AssetLibrary) -> Pile:
     chosen = [_pick(rng, found, "books") for _ in range(int(rng.integers(3, 7)))]
     chosen.sort(key=lambda entry: -float(np.prod(np.ptp(entry[1].bounds(), axis=0)[:2])))
     poses = [_rotated(rng, spread=0.12, shift=0.008) for _ in chosen]
-    made: dict[str, Solid] = {}
-    solids = [made.setdefault(info.id, _solid(mesh)) for info, mesh in chosen]
-    return _pile("books", chosen, stack(solids, poses, [_plane()]).poses)
+    return _pile("books", chosen, stack([solid_of(mesh) for _, mesh in chosen], poses, [_plane()]).poses)
 
 
 def _crockery(rng: Rng, library: AssetLibrary, kind: PileKind) -> Pile:
@@ -234,7 +228,7 @@ def _crockery(rng: Rng, library: AssetLibrary, kind: PileKind) -> Pile:
         poses = [_rotated(rng, spread=spread, shift=shift) for _ in range(count)]
         poses = poses[: max(FEWEST, int(TALLEST / height))]
         count = len(poses)
-        pile = _pile(kind, [found[int(number)]] * count, stack([_solid(mesh)] * count, poses, [_plane()]).poses)
+        pile = _pile(kind, [found[int(number)]] * count, stack([solid_of(mesh)] * count, poses, [_plane()]).poses)
         if len(pile.members) >= FEWEST and pile.members[1].pile_from_body[2, 3] < _NESTS * height:
             return pile
     raise PlacementError(f"no {kind} installed that go into one another; run `multilight assets fetch`")

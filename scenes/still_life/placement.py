@@ -11,9 +11,9 @@ from trimesh.collision import CollisionManager
 from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.errors import MultilightError
-from multilight.scenes.geometry.solids import Solid
-from multilight.scenes.geometry.support_surfaces import SupportSurface, convex_polygon, stacked_faces, stands
-from multilight.scenes.meshes import Mesh
+from multilight.scenes.geometry.solids import solid_of
+from multilight.scenes.geometry.support_surfaces import SupportSurface, convex_hull, convex_polygon, stands
+from multilight.scenes.meshes import Mesh, once_a_mesh
 from multilight.scenes.poses import about_z, pose_of
 from multilight.scenes.streams import Rng
 
@@ -97,15 +97,14 @@ class Stage:
         return self.surface.supports(local, EDGE)
 
 
-def resting_poses(info: AssetInfo, mesh: Mesh) -> list[Standing]:
+@once_a_mesh
+def resting_poses(mesh: Mesh, info: AssetInfo) -> list[Standing]:
     """Return the poses in which an asset rests: as it comes, and for blocks on each face that carries it.
 
     What stands unevenly as it comes (a shoe, a bag) tips over by a few degrees on to the face of its hull that
     carries it.
     """
-    vertices, faces = mesh.vertices().astype(np.float64), stacked_faces(mesh)
-    hull = Trimesh(vertices, faces, process=False).convex_hull
-    centre = Solid(vertices, faces).centre_of_mass
+    hull, centre = convex_hull(mesh), solid_of(mesh).centre_of_mass
     rotations = [np.eye(3)]
     if info.category in BLOCKS:
         normals = hull.facets_normal[hull.facets_area > FACET * hull.area]

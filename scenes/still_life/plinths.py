@@ -58,7 +58,7 @@ def raise_some(rng: Rng, library: AssetLibrary, items: list[Standing], fraction:
 
 def _on(item: Standing, plinth: AssetInfo, library: AssetLibrary) -> Raised:
     """Join an object with the plinth below it to one convex piece."""
-    (base,) = resting_poses(plinth, library.mesh(plinth.id))
+    (base,) = resting_poses(library.mesh(plinth.id), plinth)
     points = np.concatenate([np.asarray(base.hull.vertices), np.asarray(item.hull.vertices) + [0, 0, base.height]])
     hull = Trimesh(points, process=False).convex_hull
     joined = replace(item, hull=hull, lift=item.lift + base.height, footprint=base.footprint)

@@ -67,7 +67,7 @@ def draw_standing(
 ) -> Standing | None:
     """Load an object and draw one of its resting poses, its own most often; None where it is broken or falls over."""
     try:
-        poses = resting_poses(info, library.mesh(info.id))
+        poses = resting_poses(library.mesh(info.id), info)
     except AssetError:
         return None
     if not poses:

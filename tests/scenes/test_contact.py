@@ -10,7 +10,7 @@ from trimesh.creation import box, cylinder, icosphere
 from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.geometry.contact import check_contacts
-from multilight.scenes.geometry.overlap import depth, gap, touching, way_out
+from multilight.scenes.geometry.overlap import boxes_meet, depth, gap, surfaces_cross, touching, way_out
 from multilight.scenes.geometry.solids import Placed, Solid
 from multilight.scenes.kinds.tabletop import sample_tabletop
 from multilight.scenes.meshes import Mesh
@@ -124,6 +124,27 @@ def test_contact_is_where_things_touch() -> None:
     assert points.max(axis=0)[:2] == pytest.approx([0.2, 0.25], abs=1e-6)
     assert not len(touching(placed(TOP), placed(BOOK, 0.1, 0.1, 0.0365)))
     assert gap(placed(TOP), placed(BOOK, 0.1, 0.1, 0.0365)) == pytest.approx(0.0015, abs=1e-6)
+
+
+def test_what_stands_askew_beside_a_wall_is_not_near_it() -> None:
+    wall = turned(TOP, 1, np.pi / 2)
+    askew = [turned(TOP, 2, 0.7).pose @ part.pose for part in (wall, placed(BALL, 0.08, 0.1, 0.1))]
+    beside, ball = Placed(TOP, askew[0]), Placed(BALL, askew[1])
+    assert (beside.box[0] <= ball.box[1]).all()
+    assert (ball.box[0] <= beside.box[1]).all()
+    assert not boxes_meet(beside, ball)
+    assert boxes_meet(beside, ball, reach=0.011)
+
+
+def test_surfaces_that_cross_in_one_triangle_are_found_among_thousands() -> None:
+    fine = solid(icosphere(subdivisions=6, radius=0.05))
+    for gap_between, cross in ((1e-5, False), (-1e-4, True)):
+        other = turned(fine, 2, 0.4, 0.06, 0.08, 0.02)
+        away = other.pose[:3, 3] / np.linalg.norm(other.pose[:3, 3])
+        assert (
+            surfaces_cross(placed(fine), Placed(fine, turned(fine, 2, 0.4, *((0.1 + gap_between) * away)).pose))
+            == cross
+        )
 
 
 class Boxes:

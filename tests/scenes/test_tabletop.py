@@ -229,8 +229,8 @@ def test_what_falls_over_is_not_placed(library: AssetLibrary) -> None:
     info = next(i for i in library.list("object") if i.category == "mug")
     leaning = moved(box((0.02, 0.02, 0.02)), 0, 0, 0.01)
     arm = moved(box((0.3, 0.02, 0.02)), 0.14, 0, 0.1)
-    assert resting_poses(info, plain_mesh(leaning)) != []
-    assert resting_poses(info, plain_mesh(leaning, arm)) == []
+    assert resting_poses(plain_mesh(leaning), info) != []
+    assert resting_poses(plain_mesh(leaning, arm), info) == []
 
 
 @pytest.mark.parametrize(("slant", "rests"), [(0.002, True), (0.05, False)])
@@ -238,7 +238,7 @@ def test_what_stands_unevenly_tips_a_little(library: AssetLibrary, slant: float,
     info = next(i for i in library.list("object") if i.category == "mug")
     wedge = moved(box((0.2, 0.1, 0.1)), 0, 0, 0.05)
     wedge.vertices[(wedge.vertices[:, 2] < 0.01) & (wedge.vertices[:, 0] > 0), 2] += slant
-    poses = resting_poses(info, plain_mesh(wedge))
+    poses = resting_poses(plain_mesh(wedge), info)
     assert len(poses) == rests
     for pose in poses:
         assert np.arccos(pose.rotation[2, 2]) == pytest.approx(np.arctan(slant / 0.2), rel=1e-3)
@@ -248,7 +248,7 @@ def test_what_stands_unevenly_tips_a_little(library: AssetLibrary, slant: float,
 
 def test_blocks_rest_on_several_faces(library: AssetLibrary) -> None:
     info = next(i for i in library.list("object") if i.category == "block")
-    poses = resting_poses(info, plain_mesh(moved(box((0.1, 0.06, 0.03)), 0, 0, 0.015)))
+    poses = resting_poses(plain_mesh(moved(box((0.1, 0.06, 0.03)), 0, 0, 0.015)), info)
     assert {round(pose.height, 3) for pose in poses} == {0.1, 0.06, 0.03}
     assert all(abs(pose.hull.bounds[0, 2]) < 1e-6 for pose in poses)
 

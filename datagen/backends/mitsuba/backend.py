@@ -58,7 +58,7 @@ class MitsubaBackend:
         action, name = split_variant(job.scene, job.variant)
         camera = view_camera(job)
         dr.set_thread_count(job.settings.threads or dr.thread_count())
-        synced = self._sync(job)
+        synced = self.prepare(job)
         film = synced.view(job.view, job.settings)
         layers = film.mean((action, name or ""))
         albedo, normal = film.mean(("guides", name if name and action == "without" else ""))
@@ -75,7 +75,8 @@ class MitsubaBackend:
         coverage, shown = np.moveaxis(film.mean(("masks", name))[0, ..., :2], -1, 0)
         return replace(stack, shown=shown) if action == "without" else replace(stack, coverage=coverage)
 
-    def _sync(self, job: RenderJob) -> "_Synced":
+    def prepare(self, job: RenderJob) -> "_Synced":
+        """Put a job's scene on the device, if it is not there; rendering does so too."""
         if self.synced is None or (self.synced.scene, self.synced.rig) != (job.scene, job.rig):
             self.synced = None  # frees the device first
             self.synced = _Synced(job.scene, job.rig, self)
@@ -94,11 +95,11 @@ class MitsubaBackend:
         fixed = accelerate(arrays, ~changing)
 
         def world(removed: str | None) -> World:
-            there = ~arrays.of_bodies([] if removed is None else [removed])
-            whole = accelerate(arrays, there)
-            if whole is None:
+            there = changing & ~arrays.of_bodies([] if removed is None else [removed])
+            others = accelerate(arrays, there)
+            if fixed is None and others is None:
                 raise BackendError(f"the scene has no triangles without {removed!r}")
-            return World(whole, fixed, accelerate(arrays, changing & there), surfaces, emitters, self._tables, seen)
+            return World(fixed, others, surfaces, emitters, self._tables, seen)
 
         return {removed: world(removed) for removed in (None, *scene.insertable)}
 

@@ -47,16 +47,15 @@ def _first_hit(world: World, ray: mi.Ray3f) -> tuple[mi.UInt32, mi.Point2f, mi.F
     """Find the first surface that is opaque enough: triangle, barycentric coordinates, distance, whether there is."""
 
     def step(active, o, face, uv, distance, found, count):  # type: ignore[no-untyped-def]
-        pi = world.whole.scene.ray_intersect_preliminary(mi.Ray3f(o, ray.d), active=active)
-        hit = active & pi.is_valid()
-        near = world.whole.face(pi, hit)
+        nearest = world.nearest(mi.Ray3f(o, ray.d), active)
+        hit = nearest.valid
         stops = mi.Bool(hit)
         if world.surfaces.see_through:
-            stops &= world.surfaces.opacity(near, pi.prim_uv, hit) > HALF
-        distance = dr.select(hit, distance + pi.t, distance)
-        face, uv = dr.select(stops, near, face), dr.select(stops, pi.prim_uv, uv)
-        beyond = pi.t * 1e-5 + 1e-5
-        o = dr.select(hit, o + ray.d * (pi.t + beyond), o)
+            stops &= world.surfaces.opacity(nearest.face, nearest.uv, hit) > HALF
+        distance = dr.select(hit, distance + nearest.t, distance)
+        face, uv = dr.select(stops, nearest.face, face), dr.select(stops, nearest.uv, uv)
+        beyond = nearest.t * 1e-5 + 1e-5
+        o = dr.select(hit, o + ray.d * (nearest.t + beyond), o)
         distance = dr.select(hit & ~stops, distance + beyond, distance)
         count += 1
         return hit & ~stops & (count < SEE_THROUGH_SURFACES), o, face, uv, distance, found | stops, count

@@ -25,14 +25,24 @@ LIGHT, LOBE, DIRECTION, ROULETTE, OPACITY = 16, 0, 1, 2, 3
 
 
 @dataclass
+class Found:
+    """What a ray meets first: the distance [m], infinite where there is nothing, and where on which triangle."""
+
+    t: mi.Float
+    face: mi.UInt32
+    uv: mi.Point2f
+    valid: mi.Bool
+
+
+@dataclass
 class World:
     """What paths run through: triangles (with or without a body), surfaces, lights.
 
     `fixed` are the opaque triangles that stay in every variant, `changing` the others that are there, insertable or
-    see-through: light that is blocked by the former is blocked whatever is removed.
+    see-through: light that is blocked by the former is blocked whatever is removed. All variants share what takes
+    longest to build, the structure over the fixed ones.
     """
 
-    whole: TriangleSet
     fixed: TriangleSet | None
     changing: TriangleSet | None
     surfaces: Surfaces
@@ -40,6 +50,20 @@ class World:
     tables: bsdf.Tables
     bits: mi.UInt32
     """By body number: the bit of a removable body, else 0."""
+
+    def nearest(self, ray: mi.Ray3f, active: mi.Bool, *, coherent: mi.Bool | bool = False) -> Found:
+        """Find the first triangle that a ray meets."""
+        found = Found(mi.Float(dr.inf), mi.UInt32(0), mi.Point2f(0), mi.Bool(False))
+        for triangles in (self.fixed, self.changing):
+            if triangles is not None:
+                nearer = mi.Ray3f(ray.o, ray.d, found.t, 0.0, mi.Color0f())
+                pi = triangles.scene.ray_intersect_preliminary(nearer, coherent=coherent, active=active)
+                hit = active & pi.is_valid()
+                found.t = dr.select(hit, pi.t, found.t)
+                found.face = dr.select(hit, triangles.face(pi, hit), found.face)
+                found.uv = dr.select(hit, pi.prim_uv, found.uv)
+                found.valid |= hit
+        return found
 
 
 @dataclass
@@ -178,17 +202,15 @@ def trace(world: World, ray: mi.Ray3f, sampler: Sampler, *, max_bounces: int) ->
 def _vertex(world: World, path: PathState, max_bounces: int) -> None:
     """Follow the ray to what it meets, credit the light found there, and go on from there, or end."""
     depth, result = path.depth, path.result
-    pi = world.whole.scene.ray_intersect_preliminary(
-        mi.Ray3f(path.o, path.d, dr.inf, 0.0, mi.Color0f()), coherent=depth == 0, active=path.active
-    )
+    ray = mi.Ray3f(path.o, path.d)
+    nearest = world.nearest(ray, path.active, coherent=depth == 0)
+    found = nearest.valid
     result.steps += dr.select(path.active, mi.UInt32(1), 0)
-    found = path.active & pi.is_valid()
-    face = world.whole.face(pi, found)
-    hit = world.surfaces.hit(face, pi.prim_uv, mi.Ray3f(path.o, path.d), found)
+    hit = world.surfaces.hit(nearest.face, nearest.uv, ray, found)
     bit = dr.select(found, dr.gather(mi.UInt32, world.bits, hit.body, found), 0)
     result.met |= bit
     result.seen |= dr.select(path.least_pdf > SHARP, bit, 0)
-    distance = path.travelled + dr.select(found, pi.t, dr.inf)
+    distance = path.travelled + nearest.t
     solid = mi.Bool(found)
     if world.surfaces.see_through:
         solid &= path.sampler.next_1d(OPACITY, depth + path.passes * 64) < hit.opacity

@@ -1,25 +1,18 @@
 """How a model stands as it comes, whether it hangs, and where things can stand on it."""
 
-from collections import OrderedDict
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import wraps
-from typing import TypeVar
 
 import numpy as np
 from trimesh import Trimesh
 
 from multilight.scenes.arrays import Float64
-from multilight.scenes.geometry.support_surfaces import convex_polygon, stacked_faces, stands
+from multilight.scenes.geometry.support_surfaces import convex_hull, convex_polygon, stacked_faces, stands
 from multilight.scenes.kinds.rooms.shelves import Shelf, find_shelves
-from multilight.scenes.meshes import Mesh, triangle_areas
+from multilight.scenes.meshes import Mesh, once_a_mesh, triangle_areas
 
 TOUCHES = 0.0008
 """Vertices this close [m] to the lowest one carry a body."""
-KEPT = 1024
-"""Meshes of which a process remembers what was worked out: about as many as there are for rooms."""
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -31,24 +24,7 @@ class Footing:
     footprint: Float64
 
 
-def _remembered(measure: Callable[[Mesh], T]) -> Callable[[Mesh], T]:
-    """Work out a thing once for each of the `KEPT` meshes that came last, told apart by their contents."""
-    kept: OrderedDict[str, T] = OrderedDict()
-
-    @wraps(measure)
-    def recall(mesh: Mesh) -> T:
-        key = mesh.sha256()
-        if key not in kept:
-            kept[key] = measure(mesh)
-        kept.move_to_end(key)
-        if len(kept) > KEPT:
-            kept.popitem(last=False)
-        return kept[key]
-
-    return recall
-
-
-@_remembered
+@once_a_mesh
 def footing_of(mesh: Mesh) -> Footing | None:
     """Tell how a mesh stands as it comes; None where it would fall over.
 
@@ -63,12 +39,13 @@ def footing_of(mesh: Mesh) -> Footing | None:
     return Footing(lowest, float(vertices[:, 2].max()) - lowest, footprint)
 
 
-@_remembered
+@once_a_mesh
 def shelves_of(mesh: Mesh) -> list[Shelf]:
     """Return where things can stand on a mesh (see `find_shelves`)."""
     return find_shelves(mesh)
 
 
+@once_a_mesh
 def hangs(mesh: Mesh) -> bool:
     """Tell whether a mesh can hang on a wall at its back (+Y): what touches there reaches above its centres of mass."""
     vertices = mesh.vertices().astype(np.float64)
@@ -84,6 +61,6 @@ def _centres(vertices: Float64, mesh: Mesh) -> Iterator[Float64]:
     area = triangle_areas(triangles)
     yield (triangles.mean(axis=1) * area[:, None]).sum(axis=0) / max(float(area.sum()), 1e-12)
     solid = Trimesh(vertices, faces, process=False)
-    yield np.asarray(solid.convex_hull.center_mass)
+    yield np.asarray(convex_hull(mesh).center_mass)
     if solid.is_watertight:
         yield np.asarray(solid.center_mass)

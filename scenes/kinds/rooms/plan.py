@@ -14,7 +14,7 @@ from trimesh.collision import CollisionManager
 from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.info import AssetInfo, AssetRole
 from multilight.scenes.assets.library import AssetError, AssetLibrary
-from multilight.scenes.geometry.support_surfaces import as_trimesh, convex_polygon
+from multilight.scenes.geometry.support_surfaces import as_trimesh, convex_hull, convex_polygon
 from multilight.scenes.kinds.rooms.finish import Palette, furniture_materials
 from multilight.scenes.kinds.rooms.footing import footing_of, hangs, shelves_of
 from multilight.scenes.kinds.rooms.shell import DOOR_ZONE, SKIRTING, Shell, Wall
@@ -242,7 +242,7 @@ class Plan:
         """Tell whether the convex hull of a piece, grown a little, keeps off the triangles of another body."""
         probe = self._probes.get(piece.info.id)
         if probe is None:
-            hull = as_trimesh(piece.mesh).convex_hull
+            hull = convex_hull(piece.mesh).copy()
             hull.apply_transform(np.diag([*GROWN, 1.0]))
             probe = self._probes[piece.info.id] = CollisionManager()
             probe.add_object("piece", hull)

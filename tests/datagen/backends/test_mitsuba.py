@@ -156,7 +156,7 @@ def _ours(lights: tuple[Light, ...], library: AssetLibrary) -> World:
     emitters = emitters_of(LightRig(lights=lights), arrays, surfaces, library)
     whole = accelerate(arrays, arrays.of_bodies(arrays.spans))
     assert whole is not None
-    return World(whole, whole, None, surfaces, emitters, Tables(), mi.UInt32([0] * 4))
+    return World(whole, None, surfaces, emitters, Tables(), mi.UInt32([0] * 4))
 
 
 def _with_blocks(arrays: SceneArrays) -> SceneArrays:
