@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 from typing import get_args
 
+from multilight.datagen.commands.output import progress
 from multilight.datagen.tables import print_table
 from multilight.datagen.text import did_you_mean, plain
 from multilight.scenes.assets.check import account, check_assets
@@ -43,7 +44,8 @@ def fetch(which: str | None) -> int:
 def check(which: str | None, *, as_json: bool) -> int:
     """Load every asset for real and name the broken ones, with an account of one's own; returns 1 if any is broken."""
     library, pack = _library(which)
-    problems = check_assets(library, pack)
+    with progress("assets", "reading") as report:
+        problems = check_assets(library, pack, report)
     found = [info for role in get_args(AssetRole) for info in library.list(role) if pack in (None, info.pack)]
     accounts = {info.id: account(library, info) for info in found if info.as_made}
     if as_json:

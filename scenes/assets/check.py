@@ -1,6 +1,6 @@
 """Loads assets for real and names what is wrong with them."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import get_args
 
 import numpy as np
@@ -18,15 +18,19 @@ MOST_FACES = 400_000
 MODELS: tuple[AssetRole, ...] = ("object", "table", "surrounding")
 
 
-def check_assets(library: AssetLibrary, pack: str | None = None) -> list[tuple[str, str]]:
-    """Load every asset of a pack (None: of all packs) and return (asset id, problem) for each fault found."""
-    return [
-        (info.id, problem)
-        for role in get_args(AssetRole)
-        for info in library.list(role)
-        if pack is None or info.pack == pack
-        for problem in _problems(library, info)
-    ]
+def check_assets(
+    library: AssetLibrary, pack: str | None = None, report: Callable[[int, int], None] = lambda done, total: None
+) -> list[tuple[str, str]]:
+    """Load every asset of a pack (None: of all packs) and return (asset id, problem) for each fault found.
+
+    `report` is told how many of how many are done.
+    """
+    infos = [info for role in get_args(AssetRole) for info in library.list(role) if pack in (None, info.pack)]
+    found = []
+    for number, info in enumerate(infos):
+        report(number, len(infos))
+        found += [(info.id, problem) for problem in _problems(library, info)]
+    return found
 
 
 def account(library: AssetLibrary, info: AssetInfo) -> list[str]:
