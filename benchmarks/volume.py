@@ -14,7 +14,7 @@ without each object, takes to trace and to denoise.
 
 import tempfile
 import time
-from collections import Counter
+from collections import defaultdict
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -71,12 +71,13 @@ class Syncing:
 def measured(options: Options, config: DatasetConfig, *, first: bool = False) -> tuple[dict[str, float], float]:
     """Make scenes; return the seconds of each stage, and those of a render a condition, a scene."""
     library = open_library(config)
-    spent: Counter[str] = Counter()
+    spent: dict[str, float] = defaultdict(float)
     with tempfile.TemporaryDirectory() as folder, open_backend("mitsuba", library) as opened:
         backend = Syncing(opened)
         maker = SceneMaker(config, "mitsuba", Path(folder), library, backend, 1, time.process_time)
         for index in [0] if first else range(options.scenes):
-            spent.update(make_scene(maker, index).seconds)
+            for stage, seconds in make_scene(maker, index).seconds.items():
+                spent[stage] += seconds
         spent["structures"] = backend.seconds
         spent["tracing"] = spent.pop("render") - backend.seconds
         chosen = () if first else range(0, options.scenes, 4)

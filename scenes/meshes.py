@@ -176,11 +176,13 @@ def load_mesh(path: Path) -> Mesh:
             raise ValueError("it is no NPZ file")
         header = _Header.from_json(data["header"].tobytes().decode())
         parts = tuple(
-            MeshPart(name, *(read_only(data[f"{key}{i}"]) for key in "vfnt"), material)
+            MeshPart(name, data[f"v{i}"], data[f"f{i}"], data[f"n{i}"], data[f"t{i}"], material)
             for i, (name, material) in enumerate(zip(header.names, header.materials, strict=True))
         )
     for part in parts:
         _check_arrays(part)
+        for array in (part.vertices, part.faces, part.normals, part.uv):
+            array.setflags(write=False)
     return Mesh(parts)
 
 

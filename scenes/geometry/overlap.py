@@ -95,7 +95,9 @@ def _corners(first: Int64, last: Int64) -> Iterator[tuple[int, Int64]]:
 def _boxes_before(cells: list[Int64]) -> Int64:
     """Sum, over all cells before each point of the grid, in how many boxes each cell lies, ((CELLS + 1)³,)."""
     points = (CELLS + 1) ** 3
-    steps = sum(-sign * np.bincount(corner, minlength=points) for sign, corner in _corners(*cells))
+    steps = np.zeros(points, np.int64)
+    for sign, corner in _corners(*cells):
+        steps -= sign * np.bincount(corner, minlength=points)
     boxes = steps.reshape(CELLS + 1, CELLS + 1, CELLS + 1).cumsum(0).cumsum(1).cumsum(2)[:-1, :-1, :-1]
     return np.pad(boxes.cumsum(0).cumsum(1).cumsum(2), ((1, 0),) * 3).ravel()
 
