@@ -166,7 +166,7 @@ def test_a_draw_is_thrown_away_at_its_first_bad_view(tmp_path: Path) -> None:
     assert made.thrown_away == record.thrown_away
     assert record.thrown_away[0].startswith("additivity: view 1: ")
     assert verify_views(record, lambda name: nullcontext(folder / name)) == []
-    assert set(made.seconds) == {"render", "rest"}
+    assert set(made.seconds) == {"draw", "contacts", "render", "write", "verify", "rest"}
     assert not list((tmp_path / "work").iterdir())
 
 
@@ -184,7 +184,8 @@ def test_the_last_line_says_how_it_went(tmp_path: Path, capsys: pytest.CaptureFi
     assert run("scene", "--out", tmp_path / "d", *SPHERES) == 0
     (said,) = capsys.readouterr().out.splitlines()
     said = said.removeprefix(f"{tmp_path / 'd'}: scene ok: 1 made, 0 kept; 3 views, ")
-    assert re.fullmatch(r"\d+ kB; \d+ s \(render \d+%, rest \d+%\)", said)
+    stages = ", ".join(rf"{stage} \d+%" for stage in ("draw", "contacts", "render", "write", "verify", "rest"))
+    assert re.fullmatch(rf"\d+ kB; \d+ s \({stages}\)", said)
 
 
 def test_all_that_differs_is_named(spheres_copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
