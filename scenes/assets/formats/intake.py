@@ -119,7 +119,7 @@ class Intake:
             ) from error
 
     def _convert_all(self, models: list[tuple[Path, Path]], work: Path) -> None:
-        (work / "jobs.json").write_text(json.dumps([[str(m), str(f)] for m, f in models]))
+        (work / "jobs.json").write_text(json.dumps([[str(m.absolute()), str(f.absolute())] for m, f in models]))
         done = 0
         while done < len(models):
             reason = _convert(work)
