@@ -33,7 +33,8 @@ def tints() -> tuple[Float32, Float32]:
 def draw_gains(rng: np.random.Generator, lights: int) -> Float32:
     """Draw a condition: (L, 3) float32 linear gains, zero where a light is off; at least one is on.
 
-    Gains and colours are distributed as in `lights.conditions`, with more conditions of one and two lights.
+    Gains and colours are distributed as in `lights.conditions` where those are wild, whatever the dataset is, with more
+    conditions of one and two lights.
     """
     drawn = rng.random()
     if drawn < ONE + TWO:

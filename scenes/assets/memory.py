@@ -9,7 +9,7 @@ from multilight.scenes.meshes import Mesh
 MOST_BYTES = 1 << 30
 """The longest unused are forgotten where all take more than this."""
 BYTES_PER_FACE = 800
-"""What is worked out about a mesh and kept with it, measured: triangles, and the trees of three libraries."""
+"""What is worked out about a mesh and kept with it, estimated: triangles, and the trees of three libraries."""
 
 
 class MeshMemory:
