@@ -4,6 +4,7 @@ make dataset    sets up, fetches assets, renders a small dataset, verifies it, m
 make test       sets up and runs every test, several files at once
 make quick      in a minute and a half, what a change of pure code needs
 make train      renders or reuses a training set, trains the slim 2D model for 15 minutes, and evaluates it
+make docs       the documents as a site, in out/site
 make check      format, lints, types, who imports what
 make format     puts format and imports right
 make assets     sets up and fetches assets and what renders fast
@@ -34,7 +35,7 @@ QUICK := tests/lights tests/scenes/files tests/datagen/test_compose.py tests/dat
 	tests/datagen/test_text.py tests/model/test_losses.py tests/model/test_metrics.py tests/test_boundaries.py tests/test_documents.py
 AS_ROOT := $(filter 0,$(shell id -u))
 
-.PHONY: help dataset assets test quick train check format clean system-libraries
+.PHONY: help dataset assets test quick train docs check format clean system-libraries
 .DEFAULT_GOAL := help
 
 help:
@@ -63,6 +64,10 @@ train: .venv/installed-train assets
 	$(MULTILIGHT) pack out/training --out out/training-packed
 	$(MULTILIGHT) train slim --data out/training-packed --out out/slim
 	$(MULTILIGHT) evaluate out/training-packed --size 192 --weights out/slim/model.safetensors --out out/slim/evaluation
+
+docs: .venv/installed-dev
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+	@echo "site: out/site/index.html"
 
 check: .venv/installed-dev
 	$(BIN)/ruff format --check

@@ -4,7 +4,6 @@ Only sizes are others: datasets are of closed-form spheres, and trainings take n
 """
 
 import re
-import shlex
 import shutil
 from pathlib import Path
 
@@ -20,9 +19,9 @@ from multilight.model.data import MultiLightDataset
 from tests import ROOT
 from tests.conftest import SPHERES
 from tests.model.test_harmonize import depth_onnx
-from tests.test_documents import blocks
+from tests.test_documents import blocks, printed_commands
 
-PAGES = ("making", "dataset", "exports", "training", "model")
+PAGES = ("tutorial", "making", "dataset", "exports", "training", "model")
 SIZES = {
     "dataset": [*SPHERES, "--views", "4", "--scenes", "3", "--config", "demo.toml"],
     "train": ["--minutes", "0.001"],
@@ -50,20 +49,21 @@ def folder(tmp_path_factory: pytest.TempPathFactory, capture_folders: dict[str, 
     return here
 
 
+def as_spheres(text: str) -> str:
+    return text.replace("'room'", "'spheres'").replace("plant", "sphere_0")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("page", PAGES)
 def test_commands_run_as_printed(page: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
     (folder / "mine.toml").write_text("".join(blocks(ROOT / "docs" / "making.md", "toml")))
-    for line in "\n".join(blocks(ROOT / "docs" / f"{page}.md", "sh")).splitlines():
-        words = shlex.split(line.replace("'room'", "'spheres'"), comments=True)
-        words = words[: words.index(">")] if ">" in words else words
-        if not words:
-            continue
-        assert words[0] == "multilight", line
+    for printed in printed_commands(ROOT / "docs" / f"{page}.md"):
+        words = [as_spheres(word) for word in printed]
+        assert words[0] == "multilight", words
         code = main([*words[1:], *SIZES.get(words[1], [])], MAKING | LEARNING)
         # Spheres do not glow: a look-up may find none.
-        assert code == 0 or (code == 1 and words[1] == "query"), line
+        assert code == 0 or (code == 1 and words[1] == "query"), words
 
 
 @pytest.mark.slow
@@ -78,8 +78,8 @@ def test_code_runs_as_printed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> 
     for page in PAGES:
         for code in blocks(ROOT / "docs" / f"{page}.md", "python"):
             if "import multilight" in code or "from multilight" in code:
-                code = re.sub(r"emissive or mirror", "objects > 0", code.replace("'room'", "'spheres'"))
+                code = re.sub(r"emissive or mirror", "objects > 0", as_spheres(code))
                 exec(compile(code.replace("out/packed", "out/dataset"), f"{page}.md", "exec"), names)
                 ran += 1
-    assert ran == 3
+    assert ran == 4
     assert isinstance(names["data"], MultiLightDataset)

@@ -33,6 +33,13 @@ def blocks(page: Path, language: str) -> list[str]:
     return [code for found, code in FENCED.findall(page.read_text()) if found == language]
 
 
+def printed_commands(page: Path) -> list[list[str]]:
+    """Return the words of each line that is printed for the shell; lines that go on are joined, outputs left out."""
+    lines = "\n".join(blocks(page, "sh")).replace("\\\n", "").splitlines()
+    found = [shlex.split(line, comments=True) for line in lines]
+    return [words[: words.index(">")] if ">" in words else words for words in found if words]
+
+
 def spans(page: Path) -> list[str]:
     """Return what stands between single backticks, each on one line."""
     text = re.sub(r"\s+", " ", FENCED.sub("", page.read_text()))
@@ -114,15 +121,13 @@ def test_named_commands_exist(page: Path) -> None:
 
 @pages
 def test_printed_commands_can_be_given(page: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for line in "\n".join(blocks(page, "sh")).splitlines():
-        words = shlex.split(line, comments=True)
-        words = words[: words.index(">")] if ">" in words else words
+    for words in printed_commands(page):
         if words[:1] == ["multilight"]:
             check_command(words)
             try:
                 tyro.cli(COMMANDS[words[1]], args=words[2:], config=(tyro.conf.OmitArgPrefixes,))
             except SystemExit:
-                pytest.fail(f"{page.name}: {line}\n{capsys.readouterr()}")
+                pytest.fail(f"{page.name}: {shlex.join(words)}\n{capsys.readouterr()}")
 
 
 def test_every_command_is_in_the_table() -> None:

@@ -28,7 +28,7 @@ LIT = ("target", "background", "composite", "effect")
 GOES_WITH = {
     "condition": LIT,
     "save_condition": LIT,
-    "object": LIT[1:],
+    "object": (*LIT[1:], "mask"),
     "insert_condition": ("composite",),
     "save_insert_condition": ("composite",),
 }
@@ -76,7 +76,7 @@ def write_mix(request: MixRequest) -> None:
         saved = [(base, request.save_condition), (insert, request.save_insert_condition)]
         picture = _lit(what, view, name, insert, base)
     else:
-        picture = _stored(what, view)
+        picture = _stored(what, view, name)
     out = files[0]
     told = picture.told
     with written(out) as work:
@@ -141,7 +141,7 @@ def _lit(what: str, view: ViewData, name: str, insert: LightingCondition, base: 
     return Picture({"RGB": radiance}, shown, told)
 
 
-def _stored(what: str, view: ViewData) -> Picture:
+def _stored(what: str, view: ViewData, name: str) -> Picture:
     geometry = view.geometry
     match what:
         case "depth":
@@ -154,6 +154,9 @@ def _stored(what: str, view: ViewData) -> Picture:
             return Picture(channels, pictures.normal_picture(normals), "normals in world axes, +Z up")
         case "albedo":
             return Picture({"RGB": geometry.albedo}, pictures.albedo_picture(geometry.albedo), "albedo")
+        case "mask":
+            share = view.coverage[name]
+            return Picture({"Y": share}, pictures.mask_picture(share), f"the share of each pixel that {name} covers")
         case _:
             ids = geometry.instance_id
             told = f"ids of {len(np.unique(ids[ids > 0]))} bodies, each its place in scene.json plus one"

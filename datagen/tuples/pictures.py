@@ -44,6 +44,11 @@ def albedo_picture(albedo: Float32) -> UInt8:
     return (srgb_encode(np.clip(albedo, 0, 1)) * 255).round().astype(np.uint8)
 
 
+def mask_picture(share: Float32) -> UInt8:
+    """Show shares (H, W) in [0, 1] from black to white."""
+    return np.repeat((share * 255).round().astype(np.uint8)[..., None], 3, axis=2)
+
+
 def ids_picture(ids: NDArray[np.unsignedinteger]) -> UInt8:
     """Show each body (H, W) in a colour of its own, the same in every view; black where there is nothing."""
     colours = [(0.0, 0.0, 0.0)]

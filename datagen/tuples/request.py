@@ -6,7 +6,7 @@ from typing import Literal
 
 from tyro.conf import Positional
 
-What = Literal["target", "background", "composite", "effect", "depth", "normal", "albedo", "ids"]
+What = Literal["target", "background", "composite", "effect", "depth", "normal", "albedo", "ids", "mask"]
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,8 @@ class MixRequest:
     """Insertable object (default: the first)."""
     what: What | None = None
     """What to make (default: composite with --insert-condition, else target).
-    Depth is along the optical axis, near bright; normals are in world axes, +Z up; ids are the bodies."""
+    Depth is along the optical axis, near bright; normals are in world axes, +Z up; ids are the bodies;
+    the mask is the object's share of each pixel."""
     save_condition: Path | None = None
     """Also write the lighting, as a JSON file that --condition takes."""
     save_insert_condition: Path | None = None

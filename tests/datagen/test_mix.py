@@ -197,6 +197,7 @@ def test_stored_maps_as_numbers(
         "normal": {axis: geometry.normal_world[..., i] for i, axis in enumerate("XYZ")},
         "albedo": {channel: geometry.albedo[..., i] for i, channel in enumerate("RGB")},
         "ids": {"ID": geometry.instance_id},
+        "mask": {"Y": next(iter(sphere_view[1].coverage.values()))},
     }
     scene = multilight.open(spheres_dataset)[0]
     for what, planes in wanted.items():
@@ -205,7 +206,7 @@ def test_stored_maps_as_numbers(
         assert set(found) == set(planes)
         for name, plane in planes.items():
             np.testing.assert_array_equal(found[name], plane)
-        stored = getattr(scene, what)(0)
+        stored = scene.tuple(0)[4] if what == "mask" else getattr(scene, what)(0)
         assert np.array_equal(np.moveaxis(np.atleast_3d(stored), -1, 0), np.array(list(planes.values())))
 
 
@@ -214,7 +215,7 @@ def test_stored_maps_as_pictures(
 ) -> None:
     geometry = sphere_view[1].geometry
     seen = {}
-    for what in ("depth", "normal", "albedo", "ids"):
+    for what in ("depth", "normal", "albedo", "ids", "mask"):
         assert mix(spheres_dataset, "--what", what, "--out", tmp_path / f"{what}.png") == 0
         seen[what] = np.asarray(Image.open(tmp_path / f"{what}.png"), int)
     told = capsys.readouterr().out
@@ -231,6 +232,9 @@ def test_stored_maps_as_pictures(
     colours = [np.unique(seen["ids"][ids == body], axis=0) for body in np.unique(ids)]
     assert all(len(colour) == 1 for colour in colours)
     assert len(np.unique(np.concatenate(colours), axis=0)) == len(colours)
+    assert sphere_view[0].scene.insertable[0] in told.splitlines()[-1]
+    share = next(iter(sphere_view[1].coverage.values()))
+    np.testing.assert_allclose(seen["mask"] / 255, np.repeat(share[..., None], 3, axis=2), atol=0.5 / 255 + 1e-6)
     assert f"ids of {len(np.unique(ids[ids > 0]))} bodies" in told
 
 
@@ -241,7 +245,7 @@ def test_stored_maps_as_pictures(
         ("--what depth --condition all", r"--condition all goes with --what target, background.*this makes the depth"),
         ("--what ids --save-condition c.json", "--save-condition c.json goes with --what target"),
         ("--save-insert-condition c.json", "--save-insert-condition c.json goes with --what composite; this "),
-        ("--object sphere_0", "--object sphere_0 goes with --what background, composite, effect; this "),
+        ("--object sphere_0", "--object sphere_0 goes with --what background, composite, effect, mask; this "),
         ("--save-condition c.png", "c.png: the suffix of a condition's file must be .json"),
         ("--what composite --save-condition c.json --save-insert-condition c.json", "are both c.json; name two files"),
         ("--lights", "--lights only lists"),
