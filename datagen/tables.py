@@ -1,29 +1,30 @@
-"""Tables that commands print: ruled and folded to fit a terminal, plain with whole names where something else reads."""
+"""Tables that commands print: ruled and folded to fit a terminal; plain, with whole names, elsewhere and where long."""
 
+import re
 import sys
 from collections.abc import Sequence
 from typing import Any
 
 from multilight.datagen.text import plain
 
+MOST_RULED = 500
+"""Rows of the longest table that is ruled: laying cells out for a terminal takes two milliseconds a row."""
+_LETTER = re.compile(r"[^\W\d_]")
+
 
 def print_table(heads: Sequence[str], rows: Sequence[Sequence[Any]], *, title: str = "") -> None:
     """Print rows of cells under their heads, no heads where all are empty; what has no letters is set to the right."""
     cells = [[plain(_cell(cell)) for cell in row] for row in rows]
-    numeric = [not any(letter.isalpha() for line in cells for letter in line[n]) for n in range(len(heads))]
-    if sys.stdout.isatty():
+    numeric = [not any(_LETTER.search(line[n]) for line in cells) for n in range(len(heads))]
+    if sys.stdout.isatty() and len(cells) <= MOST_RULED:
         _print_ruled(heads, cells, numeric, plain(title))
         return
     lines = [list(heads), *cells] if any(heads) else cells
     widths = [max((len(line[n]) for line in lines), default=0) for n in range(len(heads))]
     if title:
         print(plain(title))
-    for line in lines:
-        set_out = [
-            cell.rjust(width) if right else cell.ljust(width)
-            for cell, width, right in zip(line, widths, numeric, strict=True)
-        ]
-        print("  ".join(set_out).rstrip())
+    form = "  ".join(f"{{:{'>' if right else '<'}{width}}}" for width, right in zip(widths, numeric, strict=True))
+    sys.stdout.write("".join(f"{form.format(*line).rstrip()}\n" for line in lines))
 
 
 def _print_ruled(heads: Sequence[str], rows: Sequence[Sequence[str]], numeric: Sequence[bool], title: str) -> None:

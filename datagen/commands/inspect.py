@@ -30,6 +30,8 @@ class Verify:
     """Print JSON instead of a table."""
     quick: bool = False
     """Look at names, sizes, records and the index, not at what the files hold."""
+    sample: int | None = None
+    """Look into so many scenes only, spread evenly, besides the index and which scenes there are."""
     source: str | None = None
     """Folder or address of a dataset: say as well what of a packed copy or export is not as that dataset is now."""
 
@@ -39,12 +41,16 @@ class Verify:
         from multilight.datagen.verification.copies import copy_at, print_copy_verification
         from multilight.datagen.verification.dataset import verify_dataset
 
+        if self.sample is not None and self.sample < 1:
+            raise UserError(f"--sample {self.sample} must be 1 or more")
         if (copy := copy_at(self.dir)) is not None:
+            if self.sample is not None:
+                raise UserError(f"--sample goes with a dataset, and {self.dir} is a packed copy or an export")
             return print_copy_verification(copy, quick=self.quick, source=self.source, as_json=self.json)
         if self.source is not None:
             raise UserError(f"--source goes with a packed copy or an export, and {self.dir} is neither")
         with progress("scenes", "verifying") as report:
-            checked = verify_dataset(self.dir, quick=self.quick, report=report)
+            checked = verify_dataset(self.dir, quick=self.quick, sample=self.sample, report=report)
         return print_verification(self.dir, checked, as_json=self.json)
 
 
@@ -98,13 +104,14 @@ class Stats:
     dir: Annotated[tyro.conf.Positional[str | None], tyro.conf.arg(metavar="[DIR]")] = None
     """Folder of the dataset."""
     sample: int | None = None
-    """Instead: sample this many scenes without rendering, and measure those."""
+    """Measure so many scenes of the folder, spread evenly (default: all, at most 2000); without a folder: draw so many,
+    without rendering."""
     out: Path | None = None
-    """Folder for index.html and stats.json (default: stats in the dataset's folder; with --sample: none)."""
+    """Folder for index.html and stats.json (default: stats in the dataset's folder)."""
     preset: Preset | None = None
-    """With --sample: named starting point of the configuration."""
+    """Where scenes are drawn: named starting point of the configuration."""
     config: Path | None = None
-    """With --sample: TOML file of the configuration."""
+    """Where scenes are drawn: TOML file of the configuration."""
     assets: tuple[Path, ...] = ()
     """Folders of your own models that the scenes use."""
 
@@ -114,8 +121,10 @@ class Stats:
         from multilight.datagen.stats.page import print_summary, write_page
         from multilight.datagen.storage.store import file_inside
 
-        if (self.dir is None) == (self.sample is None):
-            raise UserError("say either which dataset to measure (multilight stats DIR) or --sample N")
+        if self.dir is None and self.sample is None:
+            raise UserError(
+                "say which dataset to measure (multilight stats DIR), or how many scenes to draw: --sample N"
+            )
         if self.sample is not None and self.sample < 1:
             raise UserError(f"--sample {self.sample} must be 1 or more")
         if self.dir is not None and not Path(self.dir).is_dir():
@@ -132,13 +141,13 @@ class Stats:
 
     def _measure(self) -> "Summary":
         from multilight.datagen.commands.output import progress
-        from multilight.datagen.stats.collect import measure_dataset, measure_samples
+        from multilight.datagen.stats.collect import MOST_MEASURED, measure_dataset, measure_samples
         from multilight.scenes.assets.library import AssetLibrary
 
         config = load_config(self.config, {}, self.preset)
         library = AssetLibrary(folders=self.assets)
         with progress("scenes", "measuring") as report:
             if self.dir is not None:
-                return measure_dataset(Path(self.dir), library, report)
+                return measure_dataset(Path(self.dir), library, report, self.sample or MOST_MEASURED)
             assert self.sample is not None
             return measure_samples(config, self.sample, library, report)

@@ -139,8 +139,6 @@ def make_scenes(
 
 def summary(plan: "Plan", outcome: "Outcome", seconds: float) -> str:
     """Say in a line how a run went: scenes, time and what it went to, size, draws thrown away by reason."""
-    from multilight.datagen.storage.store import scene_dir
-
     count = len(outcome.made) + outcome.kept
     if not outcome.made and not outcome.failures:
         return f"nothing to do, all {count} scenes are there"
@@ -148,8 +146,7 @@ def summary(plan: "Plan", outcome: "Outcome", seconds: float) -> str:
         f"{len(outcome.made)} made, {outcome.kept} kept"
         + (f", {len(outcome.failures)} failed" * bool(outcome.failures))
     ]
-    files = [view for index in outcome.made for view in (scene_dir(plan.root, index) / "views").iterdir()]
-    told.append(f"{len(files)} views, {size(sum(file.stat().st_size for file in files))}")
+    told.append(f"{outcome.views} views, {size(outcome.size)}")
     spent = sum(outcome.seconds.values()) or 1.0
     stages = ", ".join(f"{stage} {took / spent:.0%}" for stage, took in outcome.seconds.items())
     told.append(f"{duration(seconds)} ({stages})")

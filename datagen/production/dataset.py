@@ -9,9 +9,12 @@ import shutil
 import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, wait
 from concurrent.futures import TimeoutError as FutureTimeout
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
@@ -22,9 +25,9 @@ from multilight.datagen.backends.machine.variants import choose_variant
 from multilight.datagen.config.dataset import DatasetConfig, RendererName
 from multilight.datagen.errors import RunStoppedError, StoreError, UserError, full_disk_told
 from multilight.datagen.files.locks import locked
-from multilight.datagen.production.finishing import finish, survey
+from multilight.datagen.production.finishing import Survey, finish, survey
 from multilight.datagen.production.library import check_library, located, same_background
-from multilight.datagen.production.worker import WorkerSetup, log_path, run_scene
+from multilight.datagen.production.worker import WorkerReport, WorkerSetup, log_path, run_scene
 from multilight.datagen.report import Report
 from multilight.datagen.storage.records import GHOSTS, DatasetRecord, ImportAccount
 from multilight.datagen.storage.store import COPIES, read_dataset, read_scene, scene_dir, scene_indices, write_text
@@ -35,6 +38,10 @@ from multilight.scenes.assets.info import AssetRole
 from multilight.scenes.assets.library import AssetError, AssetLibrary
 from multilight.scenes.assets.packs.background import PACK
 
+AHEAD = 2
+"""Scenes a worker that are handed out: the one in work, and the next."""
+BETWEEN = 60.0
+"""Seconds from one writing of the index to the next, while scenes are made."""
 SCENES_A_WORKER = 25  # then a fresh process: a long-lived Blender grows
 SECONDS_A_MEGASAMPLE = 60.0  # a hundred times what a slow core needs; only a hung scene exceeds it
 LEAST_TIMEOUT = 600.0
@@ -62,7 +69,7 @@ class Outcome:
 
     `changed` are scenes that were damaged and came out otherwise than the index states; `seconds` maps each stage to
     the time it took, over all workers; `thrown_away` are the reasons of the draws that failed a check and were drawn
-    anew.
+    anew; `views` and `size` are the number and the bytes of the views that were made.
     """
 
     made: tuple[int, ...]
@@ -72,16 +79,36 @@ class Outcome:
     seconds: dict[str, float]
     changed: tuple[int, ...]
     thrown_away: tuple[str, ...] = ()
+    views: int = 0
+    size: int = 0
 
 
 @dataclass(frozen=True)
 class _Watch:
-    """What is learned while the workers run: progress, broken assets, where the time goes, draws thrown away."""
+    """What is learned while the workers run: progress, scenes, broken assets, where the time goes, what was drawn anew.
+
+    `there` gets the scenes that are made, `made` the number and the bytes of their views.
+    """
 
     report: Report
+    there: Survey
     broken: dict[str, str]
-    seconds: dict[str, float]
-    thrown_away: list[str]
+    made: dict[int, tuple[int, int]] = field(default_factory=dict)
+    changed: list[int] = field(default_factory=list)
+    seconds: dict[str, float] = field(default_factory=dict)
+    thrown_away: list[str] = field(default_factory=list)
+
+    def take(self, told: WorkerReport) -> None:
+        """Count a scene in that was made."""
+        index = told.row["index"]
+        if self.there.stated.get(index, told.row["record_sha256"]) != told.row["record_sha256"]:
+            self.changed.append(index)
+        self.there.add(told.row, told.credits)
+        self.made[index] = told.row["views"], told.row["bytes"]
+        self.broken.update(told.broken)
+        self.thrown_away.extend(told.thrown_away)
+        for stage, seconds in told.seconds.items():
+            self.seconds[stage] = self.seconds.get(stage, 0.0) + seconds
 
 
 def make_dataset(plan: Plan, report: Report) -> Outcome:
@@ -108,21 +135,30 @@ def make_dataset(plan: Plan, report: Report) -> Outcome:
         report(0, 0, "looking at what is there")
         there = survey(plan.root, record, contents=plan.repair)
         wanted = sorted({*plan.indices, *there.damaged})
-        missing = tuple(i for i in wanted if i not in there.rows)
+        missing = tuple(i for i in wanted if i not in there.sound)
         kept = len(wanted) - len(missing)
         if not missing:
-            finish(plan.root, record, there)
+            finish(plan.root, there)
             return Outcome((), kept, {}, {}, {}, ())
         for index, reason in there.damaged.items():
             print(f"scene {index} is damaged and made anew: {reason}", file=sys.stderr)
-        if there.rows or there.damaged:
+        if there.sound or there.damaged:
             _check_makers(record, plan)
-        watch = _Watch(report, {} if library is None else _broken_models(library), {}, [])
+        watch = _Watch(report, there, {} if library is None else _broken_models(library))
         failures = _run(plan, renderer, missing, watch)
         shutil.rmtree(plan.root / "work", ignore_errors=True)
-        made = tuple(i for i in missing if i not in failures)
-        changed = finish(plan.root, record, there, made)
-        return Outcome(made, kept, failures, watch.broken, watch.seconds, changed, tuple(watch.thrown_away))
+        finish(plan.root, there)
+        return Outcome(
+            made=tuple(watch.made),
+            kept=kept,
+            failures=failures,
+            broken=watch.broken,
+            seconds=watch.seconds,
+            changed=tuple(watch.changed),
+            thrown_away=tuple(watch.thrown_away),
+            views=sum(views for views, _ in watch.made.values()),
+            size=sum(size for _, size in watch.made.values()),
+        )
 
 
 def settings_of(root: Path) -> dict[str, Any]:
@@ -258,10 +294,8 @@ def _run(plan: Plan, renderer: RendererName, missing: Sequence[int], watch: _Wat
         max_tasks=SCENES_A_WORKER,
         context=multiprocessing.get_context("spawn"),
     )
-    limit = _timeout(plan.config)
-    futures = {pool.schedule(run_scene, args=(setup, index), timeout=limit): index for index in missing}
     try:
-        failures = _collect(plan, futures, watch)
+        failures = _collect(plan, partial(_scheduled, pool, setup), missing, watch)
         pool.close()
         pool.join()
     except BaseException:
@@ -273,28 +307,42 @@ def _run(plan: Plan, renderer: RendererName, missing: Sequence[int], watch: _Wat
     return failures
 
 
+def _scheduled(pool: ProcessPool, setup: WorkerSetup, index: int) -> ProcessFuture:
+    return pool.schedule(run_scene, args=(setup, index), timeout=_timeout(setup.config))
+
+
 def _timeout(config: DatasetConfig) -> float:
     renders = config.views * (1 + 2 * config.insertable)
     megasamples = config.width * config.height * config.spp * renders / 1e6
     return LEAST_TIMEOUT + SECONDS_A_MEGASAMPLE * megasamples
 
 
-def _collect(plan: Plan, futures: dict[ProcessFuture, int], watch: _Watch) -> dict[int, str]:
-    """Wait for all scenes, reporting the views on disk; those of a draw thrown away stay counted till made anew."""
+def _collect(
+    plan: Plan, schedule: Callable[[int], ProcessFuture], missing: Sequence[int], watch: _Watch
+) -> dict[int, str]:
+    """Have all scenes made, few ahead of the workers; report the views on disk, and finish now and then.
+
+    The views of a draw that is thrown away stay counted till they are made anew.
+    """
     failures: dict[int, str] = {}
-    waiting = dict(futures)
-    total = len(futures) * plan.config.views
-    done = 0
-    while waiting:
-        time.sleep(0.2)
-        for future in [f for f in waiting if f.done()]:
+    waiting: dict[ProcessFuture, int] = {}
+    left = deque(missing)
+    total, done, finished = len(missing) * plan.config.views, 0, time.monotonic()
+    while left or waiting:
+        while left and len(waiting) < AHEAD * plan.workers:
+            index = left.popleft()
+            waiting[schedule(index)] = index
+        over, _ = wait(waiting, timeout=0.2, return_when=FIRST_COMPLETED)
+        for future in over:
             index = waiting.pop(future)
             if (reason := _failure(plan, index, future, watch)) is not None:
                 failures[index] = reason
-        finished = (len(futures) - len(waiting)) * plan.config.views
+        if time.monotonic() - finished > BETWEEN:
+            finish(plan.root, watch.there)
+            finished = time.monotonic()
         # Not pathlib's glob, which fails where a folder goes away meanwhile.
         in_work = len(glob.glob("work/*/views/*.exr", root_dir=plan.root))
-        done = max(done, min(finished + in_work, total))
+        done = max(done, min((len(watch.made) + len(failures)) * plan.config.views + in_work, total))
         note = "rendering" if done else "starting and drawing"
         watch.report(done, total, note + (f" ({len(watch.thrown_away)} drawn anew)" if watch.thrown_away else ""))
     return failures
@@ -311,11 +359,7 @@ def _failure(plan: Plan, index: int, future: ProcessFuture, watch: _Watch) -> st
     """Return why a scene was not made, or None; what stops every scene (a full disk) is raised."""
     where = f"seed {plan.config.seed}, log {log_path(plan.root, index)}"
     try:
-        report = future.result()
-        watch.broken.update(report.broken)
-        watch.thrown_away.extend(report.thrown_away)
-        for stage, seconds in report.seconds.items():
-            watch.seconds[stage] = watch.seconds.get(stage, 0.0) + seconds
+        watch.take(future.result())
     except FutureTimeout:
         return f"took longer than {_timeout(plan.config):.0f} s and was stopped ({where})"
     except ProcessExpired as error:

@@ -1,88 +1,172 @@
 """What is there of a dataset that is continued, and finishing it: index, credits and hashes in `dataset.json`."""
 
 import hashlib
+import os
 import shutil
+from collections import Counter, defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from stat import S_ISREG
 
-from multilight.datagen.errors import StoreError
-from multilight.datagen.storage.index import index_bytes, index_row, table_of
+import polars as pl
+
+from multilight.datagen.storage.blocks import BLOCK, Index, block_file, joined, read_blocks, stated_blocks
+from multilight.datagen.storage.index import Row, index_bytes, index_row, index_table, table_of
 from multilight.datagen.storage.place import find_place
-from multilight.datagen.storage.records import AssetCredit, DatasetRecord, SceneRecord
-from multilight.datagen.storage.source import read_index, read_record, scene_names
-from multilight.datagen.storage.store import write_text
-from multilight.datagen.verification.dataset import check_files, credits_in_order
+from multilight.datagen.storage.records import AssetCredit, DatasetRecord, view_file
+from multilight.datagen.storage.source import scene_names
+from multilight.datagen.storage.store import read_dataset, scene_dir, write_text
+from multilight.datagen.verification.dataset import PREVIEW, check_files, credits_in_order
 from multilight.scenes.files.whole import write_whole
 
 
 @dataclass(frozen=True)
 class Survey:
-    """Sound scenes by their rows of the index, the credits they ask for, and damaged scenes with the reason.
+    """Sound scenes, damaged ones with the reason, and what is to be written into the index and `dataset.json`.
 
-    `stated` are the hashes of records by the index that was found, empty where that was not whole.
+    `rows` and `credits` are those of scenes that the index lacks; `stated` are the hashes of records by the index that
+    was found, `unread` its blocks that were not whole, `looked` those of which records were read again.
     """
 
-    rows: dict[int, dict[str, Any]] = field(default_factory=dict)
-    credits: dict[str, AssetCredit] = field(default_factory=dict)
+    sound: set[int] = field(default_factory=set)
     damaged: dict[int, str] = field(default_factory=dict)
+    rows: dict[int, Row] = field(default_factory=dict)
+    credits: dict[str, AssetCredit] = field(default_factory=dict)
     stated: dict[int, str] = field(default_factory=dict)
+    unread: set[int] = field(default_factory=set)
+    looked: set[int] = field(default_factory=set)
 
-    def add(self, record: SceneRecord) -> None:
-        """Count a sound scene in."""
-        self.rows[record.index] = index_row(record)
-        self.credits.update((credit.id, credit) for credit in record.assets)
+    def add(self, row: Row, credits: Iterable[AssetCredit]) -> None:
+        """Count a sound scene in that the index lacks."""
+        self.rows[row["index"]] = row
+        self.credits.update((credit.id, credit) for credit in credits)
+        self.sound.add(row["index"])
 
 
 def survey(root: Path, dataset: DatasetRecord, *, contents: bool) -> Survey:
     """Look at all scenes in a dataset's folder: names, sizes and records, with `contents` the hashes of views too.
 
-    Then a file too many is damage as well: what is made anew has none.
+    Records are read of scenes that the index does not have, and of those of which a file was changed after the index
+    was written. With `contents` a file too many is damage as well: what is made anew has none.
     """
-    place, found = find_place(root), Survey()
-    try:
-        table = read_index(place, dataset)
-        found.stated.update(table.select("index", "record_sha256").iter_rows())
-    except StoreError:  # it is written anew
-        pass
-    for index in (number for number in scene_names(place) or () if number < dataset.config.scenes):
-        files = check_files(place, index, dataset, contents=contents, extras=contents)
+    place, index = find_place(root), read_blocks(find_place(root), dataset)
+    found = Survey(unread=set(index.faults))
+    stated, complete = _stated(root, dataset, index)
+    found.stated.update((number, row[0]) for number, row in stated.items())
+    for number in (n for n in scene_names(place) or () if n < dataset.config.scenes):
+        known = stated.get(number) if complete else None
+        if known is not None and not contents and _untouched(str(scene_dir(root, number)), *known[1:]):
+            found.sound.add(number)
+            continue
+        files = check_files(place, number, dataset, contents=contents, extras=contents)
         if files.record is None or files.faults:
-            found.damaged[index] = files.faults[0].message
-        elif found.stated.get(index, files.record.record_sha256) != files.record.record_sha256:
-            found.damaged[index] = "scene.json is not the one that the index states"
+            found.damaged[number] = files.faults[0].message
+        elif found.stated.get(number, files.record.record_sha256) != files.record.record_sha256:
+            found.damaged[number] = "scene.json is not the one that the index states"
+        elif known is not None:
+            found.sound.add(number)
+            found.looked.add(number // BLOCK)
         else:
-            found.add(files.record)
+            found.add(index_row(files.record), files.record.assets)
     return found
 
 
-def finish(root: Path, dataset: DatasetRecord, there: Survey, made: Iterable[int] = ()) -> tuple[int, ...]:
-    """Write the index and `dataset.json` anew where they do not agree with the scenes, those just `made` among them.
+def _stated(root: Path, dataset: DatasetRecord, index: Index) -> tuple[dict[int, tuple[str, int, int, int]], bool]:
+    """Return what the index states of each scene: hash, views, bytes, and when its block was written [ns].
 
-    Returns the scenes made that are not as the index stated them.
+    And whether it has all that `dataset.json` is made from; one of version 0.2.0 and before has not.
     """
-    place = find_place(root)
+    stated: dict[int, tuple[str, int, int, int]] = {}
+    sound = index.sound()
+    for number, table in sound.items():
+        written = (root / block_file(number)).stat().st_ctime_ns
+        rows = table.select("index", "record_sha256", "views", "bytes").iter_rows()
+        stated.update((scene, (digest, views, size, written)) for scene, digest, views, size in rows)
+    whole = joined(sound.values())
+    return stated, not whole["assets"].has_nulls() and {*_used(whole)} <= {credit.id for credit in dataset.assets}
+
+
+def _untouched(folder: str, views: int, size: int, since: int) -> bool:
+    """Whether a scene's files are all there, their views of that size in all, and none changed since a time [ns]."""
+    try:
+        about = [os.lstat(f"{folder}/{name}") for name in ("scene.json", PREVIEW, *map(view_file, range(views)))]
+        changed = max(os.lstat(folder).st_ctime_ns, *(file.st_ctime_ns for file in about))
+    except OSError:
+        return False
+    whole = all(S_ISREG(file.st_mode) for file in about) and sum(file.st_size for file in about[2:]) == size
+    return whole and changed < since
+
+
+def finish(root: Path, there: Survey) -> None:
+    """Bring index and `dataset.json` up to what is `there`, in the blocks that have changed, and forget its rows.
+
+    Rows of other scenes stay, so that several runs may do so, one after the other, in any order.
+    """
+    place, dataset = find_place(root), read_dataset(root)
     logs = root / "logs"
     if logs.is_dir() and not any(logs.iterdir()):
         shutil.rmtree(logs)
-    changed = []
-    for index in made:
-        record = read_record(place, index)
-        there.add(record)
-        if there.stated.get(index, record.record_sha256) != record.record_sha256:
-            changed.append(index)
-    content = index_bytes(table_of(there.rows.values()))
-    if not (root / "index.parquet").is_file() or (root / "index.parquet").read_bytes() != content:
-        with write_whole(root / "index.parquet") as work:
-            work.write_bytes(content)
+    index = read_blocks(place, dataset)
+    if set(index.faults) - there.unread:  # damaged since, or not finished by a run that was killed
+        again = survey(root, dataset, contents=False)
+        there.rows.update(again.rows | there.rows)
+        there.credits.update(again.credits)
+    lost = {n for n in there.stated.keys() - there.sound if check_files(place, n, dataset, extras=False).faults}
+    tables = _in_blocks(index.sound())
+    changed = {number // BLOCK for number in (*there.rows, *lost)} | index.faults.keys() | there.looked
+    changed |= {number for number in tables.keys() | {0} if tables.get(number) is not index.tables.get(number)}
+    hashes = stated_blocks(dataset)
+    rows: dict[int, list[Row]] = defaultdict(list)
+    for number, row in there.rows.items():
+        rows[number // BLOCK].append(row)
+    for number in changed:
+        kept = tables.get(number, index_table([]))
+        kept = kept.filter(~pl.col("index").is_in([*lost, *(row["index"] for row in rows[number])]))
+        tables[number] = joined([kept, table_of(rows[number])])
+        hashes[number] = _write_block(root, number, tables[number], hashes.get(number, ""))
+    whole, last = joined(tables.values()), max(number for number in hashes if hashes[number] or not number)
+    credits = {credit.id: credit for credit in dataset.assets} | there.credits
     finished = dataset.model_copy(
         update={
-            "assets": credits_in_order(there.credits),
-            "index_sha256": hashlib.sha256(content).hexdigest(),
-            "index_rows": len(there.rows),
+            "assets": credits_in_order({name: credits[name] for name in _used(whole)}),
+            "index_sha256": hashes[0],
+            "index_more": tuple(hashes.get(number, "") for number in range(1, last + 1)),
+            "index_rows": len(whole),
+            "thrown_away": dict(sorted(Counter(whole["thrown_away"].explode().drop_nulls()).items())),
         }
     ).sealed()
     if finished != dataset:
         write_text(root / "dataset.json", finished.model_dump_json(indent=1))
-    return tuple(changed)
+    there.rows.clear()
+    there.looked.clear()
+
+
+def _used(table: pl.DataFrame) -> list[str]:
+    """List the assets of all scenes by id, each once."""
+    return sorted(table["assets"].explode().drop_nulls().unique())
+
+
+def _in_blocks(tables: dict[int, pl.DataFrame]) -> dict[int, pl.DataFrame]:
+    """Put rows that an older index has in its one file into their own blocks."""
+    if 0 not in tables or not (tables[0]["index"] >= BLOCK).any():
+        return dict(tables)
+    parts = tables[0].with_columns(block=pl.col("index") // BLOCK).partition_by("block", include_key=False)
+    return dict(tables) | {int(part["index"][0]) // BLOCK: part for part in parts}
+
+
+def _write_block(root: Path, number: int, table: pl.DataFrame, stated: str) -> str:
+    """Write a block where it is another than stated, else say that it was looked at; returns its hash, "" for none."""
+    path = root / block_file(number)
+    if number and not len(table):
+        path.unlink(missing_ok=True)
+        return ""
+    content = index_bytes(table)
+    digest = hashlib.sha256(content).hexdigest()
+    if digest == stated and path.is_file() and path.read_bytes() == content:
+        os.utime(path)
+        return digest
+    path.parent.mkdir(exist_ok=True)
+    with write_whole(path) as work:
+        work.write_bytes(content)
+    return digest

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
+import numpy as np
+
 from multilight.datagen.backends.protocol import Backend, RenderSettings
 from multilight.datagen.config.dataset import DatasetConfig, RendererName
 from multilight.datagen.errors import UserError, full_disk_told
@@ -15,7 +17,15 @@ from multilight.datagen.production.denoise import AUTO_SPP
 from multilight.datagen.production.stopwatch import Stopwatch
 from multilight.datagen.production.view import RenderedView, SceneSetup, render_view
 from multilight.datagen.storage.records import AssetCredit, SceneRecord, ViewRecord, view_file
-from multilight.datagen.storage.store import ViewData, file_sha256, read_view, scene_dir, write_text, write_view
+from multilight.datagen.storage.store import (
+    ViewData,
+    file_sha256,
+    in_half,
+    read_view,
+    scene_dir,
+    write_text,
+    write_view,
+)
 from multilight.datagen.storage.variants import ALL
 from multilight.datagen.tuples.exposure import meter_condition, thumbnail
 from multilight.datagen.tuples.sheet import save_preview
@@ -68,10 +78,10 @@ class SceneMaker:
 
 @dataclass(frozen=True)
 class Made:
-    """A finished scene: the seconds that its stages took, and why draws were thrown away."""
+    """A finished scene: its record, and the seconds that its stages took."""
 
+    record: SceneRecord
     seconds: dict[str, float]
-    thrown_away: tuple[str, ...]
 
 
 def sample_scene(config: DatasetConfig, library: AssetLibrary, streams: Streams) -> tuple[SceneSpec, LightRig]:
@@ -126,7 +136,9 @@ def make_scene(maker: SceneMaker, index: int) -> Made:
     for attempt in range(ATTEMPTS):
         try:
             with full_disk_told(maker.root):
-                faults = _write_scene(maker, Streams(maker.config.seed, index, attempt), work, watch, thrown_away)
+                record, faults = _write_scene(
+                    maker, Streams(maker.config.seed, index, attempt), work, watch, thrown_away
+                )
         except AssetError as error:
             faults = [Fault(index, None, "assets", str(error))]
         else:
@@ -138,7 +150,7 @@ def make_scene(maker: SceneMaker, index: int) -> Made:
                 shutil.rmtree(final, ignore_errors=True)  # what lies there is not whole, or damaged
                 work.rename(final)
                 sync(final.parent)
-                return Made(watch.seconds(), thrown_away)
+                return Made(record, watch.seconds())
         finally:
             shutil.rmtree(work, ignore_errors=True)
         thrown_away += (_told(faults[0]),)
@@ -154,14 +166,14 @@ def _told(fault: Fault) -> str:
 
 def _write_scene(
     maker: SceneMaker, streams: Streams, work: Path, watch: Stopwatch, thrown_away: tuple[str, ...]
-) -> list[Fault]:
-    """Draw and render a scene into a folder, view by view; return the faults of the first view that has any."""
+) -> tuple[SceneRecord, list[Fault]]:
+    """Draw and render a scene into a folder, view by view; return its record, whole where no view has faults."""
     with watch.stage("draw"):
         record = _draw(maker, streams).model_copy(update={"thrown_away": thrown_away})
     with watch.stage("contacts"):  # what is imported is taken as it is
         faults = [] if maker.config.kind == "imported" else contact_faults(record.scene, maker.library)
     if faults:
-        return faults
+        return record, faults
     setup = SceneSetup(
         maker.backend,
         record.scene,
@@ -184,7 +196,7 @@ def _write_scene(
             if before is not None:
                 faults += verify_pair(record, (number - 1, before), (number, view))
         if faults:
-            return faults
+            return record, faults
         before = view
         thumbnails.append(thumbnail(view.variants[ALL]))
         brightnesses.append(brightness(record, view))
@@ -192,8 +204,9 @@ def _write_scene(
     record = record.model_copy(update={"conditions": metered})
     save_preview(work, record)
     record = record.model_copy(update={"preview_sha256": file_sha256(work / "preview.png")})
-    write_text(work / "scene.json", record.sealed().model_dump_json(indent=1))
-    return [f for number, found in enumerate(brightnesses) for f in verify_exposure(record, number, found)]
+    record = record.sealed()
+    write_text(work / "scene.json", record.model_dump_json(indent=1))
+    return record, [f for number, found in enumerate(brightnesses) for f in verify_exposure(record, number, found)]
 
 
 def contact_faults(scene: SceneSpec, library: AssetLibrary) -> list[Fault]:
@@ -257,4 +270,5 @@ def _view_record(scene: SceneSpec, path: Path, rendered: RenderedView) -> ViewRe
         additivity=round(rendered.additivity, 9),
         energy=rendered.energy,
         residuals=rendered.residuals,
+        pixels={name: float(in_half(alpha).sum(dtype=np.float64)) for name, alpha in rendered.data.coverage.items()},
     )

@@ -17,7 +17,9 @@ from multilight.datagen.backends.protocol import BackendError
 from multilight.datagen.config.dataset import DatasetConfig, RendererName
 from multilight.datagen.errors import RunStoppedError, UserError
 from multilight.datagen.production.library import open_library
-from multilight.datagen.production.scene import SceneMaker, make_scene
+from multilight.datagen.production.scene import Made, SceneMaker, make_scene
+from multilight.datagen.storage.index import Row, index_row
+from multilight.datagen.storage.records import AssetCredit
 from multilight.scenes.assets.cache import tell_thrown_away
 
 
@@ -55,14 +57,22 @@ def _maker(setup: WorkerSetup) -> SceneMaker:
 
 @dataclass(frozen=True)
 class WorkerReport:
-    """What a worker tells of a scene.
+    """What a worker tells of a scene: its row of the index, its credits, why draws were thrown away, seconds a stage.
 
-    Seconds a stage, the broken assets it has met so far (id → reason), and why draws of the scene were thrown away.
+    `broken` are the broken assets that the worker has met so far (id → reason).
     """
 
+    row: Row
+    credits: tuple[AssetCredit, ...]
+    thrown_away: tuple[str, ...]
     seconds: dict[str, float]
     broken: dict[str, str]
-    thrown_away: tuple[str, ...]
+
+
+def report_of(made: Made, broken: dict[str, str]) -> WorkerReport:
+    """Sum up a finished scene."""
+    record = made.record
+    return WorkerReport(index_row(record), record.assets, record.thrown_away, made.seconds, broken)
 
 
 def run_scene(setup: WorkerSetup, index: int) -> WorkerReport:
@@ -80,7 +90,7 @@ def run_scene(setup: WorkerSetup, index: int) -> WorkerReport:
             raise
     tell_thrown_away()
     path.unlink(missing_ok=True)
-    return WorkerReport(made.seconds, maker.library.broken, made.thrown_away)
+    return report_of(made, maker.library.broken)
 
 
 def _die_with(parent: int) -> None:

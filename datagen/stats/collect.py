@@ -16,11 +16,14 @@ from multilight.datagen.stats.duplicates import Bits, Pair, alike_in_content, al
 from multilight.datagen.stats.facts import SceneFacts, scene_facts
 from multilight.datagen.stats.pictures import picture_values, read_preview
 from multilight.datagen.stats.quantities import QUANTITIES, Coverage, Quantity, Value, coverage_of
-from multilight.datagen.storage.source import open_dataset
+from multilight.datagen.storage.source import open_dataset, spread
 from multilight.datagen.storage.store import scene_dir
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.assets.splits import SPLITS, Split
 from multilight.scenes.streams import Streams
+
+MOST_MEASURED = 2000
+"""Scenes that are measured unless more are asked for: finding those that are alike takes the square of it."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +36,10 @@ class Leak:
 
 @dataclass(frozen=True)
 class Summary:
-    """A dataset in numbers: coverage by quantity (those with values only), leaks and near-duplicates."""
+    """A dataset in numbers: coverage by quantity (those with values only), leaks and near-duplicates.
+
+    `thrown_away` counts the draws that failed a check and were drawn anew, by check, in the whole dataset.
+    """
 
     title: str
     scenes: int
@@ -42,12 +48,19 @@ class Summary:
     leaks: tuple[Leak, ...]
     duplicates: tuple[Pair, ...]
     quantities: tuple[Quantity, ...] = field(default=())
+    thrown_away: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def failed(self) -> str:
+        """Say which checks failed how often."""
+        return ", ".join(f"{check} {count}" for check, count in self.thrown_away.items())
 
     def as_json(self) -> dict[str, Any]:
         """Return what `stats.json` holds: bins, counts and quantiles of each quantity, leaks, duplicates."""
         return {
             "title": self.title,
             "scenes": self.scenes,
+            "thrown_away": self.thrown_away,
             "quantities": [
                 {"key": q.key, "title": q.title, "unit": q.unit, "values": len(self.values[q.key])}
                 | {"quantiles": quantiles(self.values[q.key]) if q.edges else None, "edges": q.edges}
@@ -65,19 +78,21 @@ def quantiles(values: list[Value]) -> dict[str, float]:
     return {"p5": round(float(low), 5), "p50": round(float(median), 5), "p95": round(float(high), 5)}
 
 
-def measure_dataset(root: Path, library: AssetLibrary, report: Report) -> Summary:
-    """Measure every finished scene of a dataset; raises `UserError` where there is none."""
+def measure_dataset(root: Path, library: AssetLibrary, report: Report, most: int = MOST_MEASURED) -> Summary:
+    """Measure the finished scenes of a dataset, at most so many, spread evenly; raises `UserError` where none is."""
     source = open_dataset(root)
     if not source.indices:
         raise UserError(f"{root} holds no finished scene; make some with: multilight dataset --out {root}")
+    chosen = spread(source.indices, most)
     facts, hashes = [], []
-    for number, index in enumerate(source.indices):
+    for number, index in enumerate(chosen):
         record = source.scene(index)
         found = scene_facts(record.scene, record.rig, record.split, library)
         facts.append(replace(found, values=found.values | picture_values(scene_dir(root, index), record)))
         hashes.append(picture_hash(read_preview(scene_dir(root, index), record)))
-        report(number + 1, len(source.indices))
-    return summarize(f"{root.name}: {len(facts)} scenes", facts, hashes)
+        report(number + 1, len(chosen))
+    count = f"{len(facts)} of " * (len(facts) < len(source.indices)) + f"{len(source.indices)} scenes"
+    return replace(summarize(f"{root.name}: {count}", facts, hashes), thrown_away=source.record.thrown_away)
 
 
 def measure_samples(config: DatasetConfig, count: int, library: AssetLibrary, report: Report) -> Summary:

@@ -76,4 +76,6 @@ def print_summary(summary: Summary) -> None:
         name = f"{q.key} [{q.unit}]" if q.unit in ("m", "lx", "K", "deg", "mm", "stops") else q.key
         rows.append((name, *spread, f"{100 * coverage.filled:.0f} %", f"{coverage.evenness:.2f}"))
     print_table(("quantity", "5 %", "median", "95 %", "filled", "even"), rows, title=summary.title)
+    if summary.thrown_away:
+        print(f"{sum(summary.thrown_away.values())} draws failed a check and were drawn anew: {summary.failed}")
     print(f"{len(summary.leaks)} models or places cross splits; {len(summary.duplicates)} near-duplicate pairs")

@@ -16,6 +16,8 @@ from multilight.scenes.appearance import is_mirror, material_class
 from multilight.scenes.cameras.pinhole import focal_length_mm
 from multilight.scenes.frozen import Matrix4
 
+Row = dict[str, Any]
+"""A row of the index, by the names of the columns."""
 _TEXTS, _NUMBERS = pl.List(pl.String), pl.List(pl.Float64)
 COLUMNS: dict[str, tuple[pl.DataType, str]] = {
     "index": (pl.Int64(), "number of the scene"),
@@ -52,8 +54,13 @@ COLUMNS: dict[str, tuple[pl.DataType, str]] = {
     "scene_sha256": (pl.String(), "hash of what is there"),
     "rig_sha256": (pl.String(), "hash of what shines"),
     "record_sha256": (pl.String(), "hash of the whole record, which holds the hashes of the scene's files"),
+    "thrown_away": (_TEXTS, "checks that earlier draws of the scene failed, each of which was drawn anew"),
+    "assets": (_TEXTS, "ids of the assets, each once"),
+    "pixels": (_NUMBERS, "how many pixels each insertable object covers, view after view; null: not stated"),
 }
 """Each column's type and meaning."""
+ADDED = ("thrown_away", "assets", "pixels")
+"""Columns that an index of version 0.2.0 and before lacks; they are null there."""
 
 LEAST_SHAPING = 0.1  # of the light in the pictures: a lamp that gives less shapes no shadows one would notice
 
@@ -63,7 +70,7 @@ def index_table(records: Iterable[SceneRecord]) -> pl.DataFrame:
     return table_of(index_row(record) for record in records)
 
 
-def table_of(rows: Iterable[dict[str, Any]]) -> pl.DataFrame:
+def table_of(rows: Iterable[Row]) -> pl.DataFrame:
     """Put rows that `index_row` made together, ordered by index."""
     return pl.DataFrame(list(rows), schema={name: kind for name, (kind, _) in COLUMNS.items()}).sort("index")
 
@@ -71,7 +78,7 @@ def table_of(rows: Iterable[dict[str, Any]]) -> pl.DataFrame:
 def index_bytes(table: pl.DataFrame) -> bytes:
     """Return a table as the content of an `index.parquet`; equal tables give equal bytes."""
     stream = io.BytesIO()
-    table.write_parquet(stream)
+    table.rechunk().write_parquet(stream)
     return stream.getvalue()
 
 
@@ -88,6 +95,8 @@ def parse_index(content: bytes, name: str, *, older: bool = False) -> pl.DataFra
         reason = (str(error).splitlines() or ["empty"])[0]
         raise StoreError(f"{name} cannot be read: {reason}") from None
     wanted = {"index": COLUMNS["index"]} if older else COLUMNS
+    if not older and not any(name in table.columns for name in ADDED):
+        table = table.with_columns(pl.lit(None, COLUMNS[name][0]).alias(name) for name in ADDED)
     if wrong := [column for column, (kind, _) in wanted.items() if table.schema.get(column) != kind]:
         raise StoreError(f"{name} has no column {wrong[0]!r}, or one of another type")
     numbers = table["index"]
@@ -98,7 +107,7 @@ def parse_index(content: bytes, name: str, *, older: bool = False) -> pl.DataFra
     return table.sort("index")
 
 
-def index_row(record: SceneRecord) -> dict[str, Any]:
+def index_row(record: SceneRecord) -> Row:
     """Summarize a scene: what is in it, what shines, how large it is."""
     bodies, cameras = record.scene.bodies, record.scene.cameras
     objects = [body for body in bodies if body.role == "object"]
@@ -116,6 +125,9 @@ def index_row(record: SceneRecord) -> dict[str, Any]:
         "scene_sha256": record.scene_sha256,
         "rig_sha256": record.rig_sha256,
         "record_sha256": record.record_sha256,
+        "thrown_away": [reason.partition(":")[0] for reason in record.thrown_away],
+        "assets": [credit.id for credit in record.assets],
+        "pixels": _pixels(record),
         "views": len(record.views),
         "width": record.views[0].width,
         "height": record.views[0].height,
@@ -129,6 +141,11 @@ def index_row(record: SceneRecord) -> dict[str, Any]:
         "mirror": any(is_mirror(body) for body in bodies),
         **_lights(record, [body.world_from_body for body in objects]),
     }
+
+
+def _pixels(record: SceneRecord) -> list[float] | None:
+    names = record.scene.insertable
+    return [view.pixels[name] for view in record.views for name in names] if record.views[0].pixels else None
 
 
 def _lights(record: SceneRecord, places: Sequence[Matrix4]) -> dict[str, Any]:

@@ -116,7 +116,8 @@ class ViewRecord(Frozen):
     `K` is in pixels; `c2w` is camera-to-world with OpenGL axes, metres. `additivity` is the largest
     |sum of layers - combined| / (combined + mean) before denoising; `energy` holds, of each variant that is denoised
     as a whole (`all`, `without_<object>`), what each light's layer carried then, and `residuals` how far the layer is
-    from that after denoising.
+    from that after denoising. `pixels` are the sums of each insertable object's coverage (empty in datasets of version
+    0.2.0 and before).
     """
 
     file: Annotated[str, Field(pattern=r"^views/[0-9]{2,6}\.exr$")]
@@ -129,6 +130,7 @@ class ViewRecord(Frozen):
     additivity: float
     energy: dict[str, dict[str, LayerEnergy]]
     residuals: dict[str, Residuals] = Field(default_factory=dict)
+    pixels: dict[str, float] = Field(default_factory=dict)
 
 
 class SceneRecord(Schema):
@@ -186,6 +188,8 @@ class SceneRecord(Schema):
                 yield f"view {number} is {view.width} x {view.height}, its camera {camera.width} x {camera.height}"
             if tuple(map(tuple, camera.intrinsics().tolist())) != view.K or view.c2w != camera.c2w:
                 yield f"view {number} states another K or c2w than its camera"
+            if view.pixels and set(view.pixels) != set(self.scene.insertable):
+                yield f"view {number} states the pixels of other objects than {list(self.scene.insertable)}"
             if set(view.energy.get(ALL, ())) != names or any(set(held) - names for held in view.energy.values()):
                 yield f"view {number} states the energy of other lights than the rig's {list(self.rig.names)}"
 
@@ -201,9 +205,11 @@ class DatasetRecord(Schema):
     """What a dataset was made with: `dataset.json`.
 
     `variant` is Mitsuba's (`llvm_ad_rgb`, say) on the machine that began the dataset, empty for other renderers;
-    `index_sha256` is the hash of `index.parquet` and `index_rows` the number of its scenes: as the last call that made
-    scenes left it, empty before. `imports` are the accounts of what the user brought; `background_sha256` is the hash
-    of the background's file, which says that it is the same wherever it lies.
+    `index_sha256` is the hash of `index.parquet`, `index_more` are those of the index's further blocks
+    (`datagen.storage.blocks`), empty for those without rows, and `index_rows` is the number of its scenes: as the last
+    call that made scenes left it, empty before. `thrown_away` counts, over all scenes of the index, the draws that
+    failed a check and were drawn anew, by check. `imports` are the accounts of what the user brought;
+    `background_sha256` is the hash of the background's file, which says that it is the same wherever it lies.
     """
 
     config: DatasetConfig
@@ -214,7 +220,9 @@ class DatasetRecord(Schema):
     imports: tuple[ImportAccount, ...] = ()
     background_sha256: str = ""
     index_sha256: str = ""
+    index_more: tuple[str, ...] = ()
     index_rows: Annotated[int, Field(ge=0)] = 0
+    thrown_away: dict[str, int] = Field(default_factory=dict)
 
     def misfit(self, record: SceneRecord) -> str:
         """Say in what a scene's record is not of this dataset, or nothing.

@@ -8,11 +8,10 @@ Files are fetched whole, one by one as they are asked for; nothing is ever writt
 """
 
 import contextlib
-import hashlib
 import multiprocessing
 import re
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -22,9 +21,10 @@ from typing import Literal
 import polars as pl
 
 from multilight.datagen.errors import StoreError, UserError
-from multilight.datagen.storage.index import index_table, parse_index
+from multilight.datagen.storage.blocks import Index, joined, read_blocks
+from multilight.datagen.storage.index import index_table
 from multilight.datagen.storage.place import Place, find_place
-from multilight.datagen.storage.records import GHOSTS, DatasetRecord, SceneRecord
+from multilight.datagen.storage.records import DatasetRecord, SceneRecord
 from multilight.datagen.storage.store import (
     COPIES,
     MOST_RECORD,
@@ -39,8 +39,6 @@ from multilight.datagen.text import did_you_mean, plain
 from multilight.scenes.files.limits import shown
 
 OnBroken = Literal["raise", "skip"]
-MOST_INDEX = 1 << 29
-"""Bytes of an index; that of a million scenes has about half as many."""
 LONGEST_WHERE = 4000
 """Characters of the longest expression over the index."""
 
@@ -72,7 +70,7 @@ class DatasetSource:
         """Whether the dataset is a folder of this machine."""
         return self.place.is_local
 
-    @property
+    @cached_property
     def indices(self) -> tuple[int, ...]:
         """The scenes' indices, in order."""
         return tuple(self.table["index"].to_list())
@@ -155,10 +153,17 @@ def open_dataset(address: str | Path, *, where: str | None = None, on_broken: On
     scenes, which is told.
     """
     place = find_place(address)
-    record = parse_dataset(place.read("dataset.json", MOST_RECORD), f"{place.address}/dataset.json")
+    record = _dataset_record(place)
+    index = read_blocks(place, record)
+    while index.faults and (now := _dataset_record(place)) != record:  # written meanwhile, by a run that goes on
+        record, index = now, read_blocks(place, now)
     source = DatasetSource(place, record, index_table([]), where, on_broken)
-    table = _index_of(source)
+    table = _completed(source, index)
     return replace(source, table=table if where is None else select(table, where))
+
+
+def _dataset_record(place: Place) -> DatasetRecord:
+    return parse_dataset(place.read("dataset.json", MOST_RECORD), f"{place.address}/dataset.json")
 
 
 def read_record(place: Place, index: int) -> SceneRecord:
@@ -168,15 +173,6 @@ def read_record(place: Place, index: int) -> SceneRecord:
     if record.index != index:
         raise StoreError(f"{place.address}/{name} is the record of scene {record.index}, not of scene {index}")
     return record
-
-
-def read_index(place: Place, record: DatasetRecord) -> pl.DataFrame:
-    """Read the index of a dataset; raises `StoreError` where it is missing, damaged, or not as `record` states it."""
-    content, shown = place.read("index.parquet", MOST_INDEX), f"{place.address}/index.parquet"
-    stated = record.index_sha256
-    if record.schema_version > GHOSTS and hashlib.sha256(content).hexdigest() != stated:
-        raise StoreError(f"{shown} is not the one that dataset.json states")
-    return parse_index(content, shown, older=record.schema_version <= GHOSTS)
 
 
 def repair_command(address: str) -> str:
@@ -201,33 +197,38 @@ def select(table: pl.DataFrame, where: str) -> pl.DataFrame:
         ) from None
 
 
+def spread(scenes: Sequence[int], most: int | None) -> Sequence[int]:
+    """Choose at most so many scenes, evenly spread over all."""
+    if most is None or most >= len(scenes):
+        return scenes
+    return [scenes[place * len(scenes) // most] for place in range(most)]
+
+
 def scene_names(place: Place) -> list[int] | None:
     """List the scenes that have a folder; None where the place cannot list."""
     names = place.names("scenes")
     return None if names is None else sorted(n for name in names if (n := scene_number(name)) is not None)
 
 
-def _index_of(source: DatasetSource) -> pl.DataFrame:
-    """Read the index, or make it up, whole or for the scenes that it lacks, and tell."""
+def _completed(source: DatasetSource, index: Index) -> pl.DataFrame:
+    """Make up what the index lacks, or states other than `dataset.json`, from the scenes' records, and tell."""
     place, record = source.place, source.record
-    try:
-        table = read_index(place, record)
-    except StoreError as error:
-        found = scene_names(place)
-        if found is None:
-            found = [
-                index for index in range(record.config.scenes) if place.exists(f"{scene_folder(index)}/scene.json")
-            ]
-        if not found:
-            raise
-        if record.index_sha256:
-            _tell(f"{error}; made up from the {len(found)} scenes, put right by: {repair_command(place.address)}")
-        return index_table(_readable(source, found))
-    lacks = sorted(set(scene_names(place) or ()) - set(table["index"])) if place.is_local else []
-    if lacks:
-        _tell(f"{place.address}/index.parquet lacks {len(lacks)} of the scenes; they are read from their records")
-        table = pl.concat([table, index_table(_readable(source, lacks))], how="diagonal").sort("index")
-    return table
+    sound = index.sound()
+    table = joined(sound.values())
+    if not index.faults and not place.is_local:
+        return table
+    found = scene_names(place)
+    if found is None:
+        found = [n for n in range(record.config.scenes) if place.exists(f"{scene_folder(n)}/scene.json")]
+    lacks = sorted(set(found) - set(table["index"]))
+    if index.faults and not found:
+        raise StoreError(next(iter(index.faults.values())))
+    if index.faults and record.index_sha256:
+        told = "; ".join(index.faults.values())
+        _tell(f"{told}; made up from the {len(lacks)} scenes, put right by: {repair_command(place.address)}")
+    elif lacks and not index.faults:
+        _tell(f"the index of {place.address} lacks {len(lacks)} of the scenes; they are read from their records")
+    return joined([table, index_table(_readable(source, lacks))]) if lacks else table
 
 
 def _tell(message: str) -> None:

@@ -61,9 +61,10 @@ class TrainingSource:
 def open_training(address: str | Path, *, where: str | None = None) -> TrainingSource:
     """Open a native or a packed dataset; `where` is an SQL expression over the index, as in `open_dataset`.
 
-    The first opening of a native dataset reads every view once, to learn which objects can be seen; what it finds is
-    kept in the cache folder of the assets. Of a packed copy the sizes of all files are held against its manifest, and
-    the contents of those that are not views. Raises `StoreError` where there is no dataset or it is damaged.
+    The first opening of a native dataset of version 0.2.0 or before reads every view once, to learn which objects can
+    be seen, which later ones state; what it finds is kept in the cache folder of the assets. Of a packed copy the sizes
+    of all files are held against its manifest, and the contents of those that are not views. Raises `StoreError` where
+    there is no dataset or it is damaged.
     """
     source = open_dataset(address, where=where)
     packed = source.place.exists(VISIBLE)
@@ -71,6 +72,8 @@ def open_training(address: str | Path, *, where: str | None = None) -> TrainingS
     if packed:
         with source.local(VISIBLE) as path:
             visible = _read_visible(path)
+    elif "pixels" in source.table.columns and not source.table["pixels"].has_nulls():
+        visible = _stated(source.table)
     else:
         visible = _seen_before(source)
     chosen = visible.filter(pl.col("scene").is_in(list(source.indices)))
@@ -131,6 +134,16 @@ def visible_rows(record: SceneRecord, number: int, view: PackedView) -> list[dic
          "pixels": float(view.object_coverage(name).sum(dtype="float64"))}
         for name in view.objects
     ]  # fmt: skip
+
+
+def _stated(index: pl.DataFrame) -> pl.DataFrame:
+    """Lay out what an index states of its scenes, a row for each view and insertable object."""
+    rows = index.select("insertable", "pixels", scene="index", number=pl.int_ranges(pl.col("pixels").list.len()))
+    rows = rows.explode("pixels", "number").with_columns(objects=pl.col("insertable").list.len().cast(pl.Int64))
+    place = pl.col("number") % pl.col("objects")
+    return rows.select(
+        "scene", "pixels", view=pl.col("number") // pl.col("objects"), object=pl.col("insertable").list.get(place)
+    )
 
 
 def _read_visible(path: Path) -> pl.DataFrame:

@@ -4,17 +4,17 @@
 """
 
 import hashlib
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-import polars as pl
-
 from multilight.datagen.errors import StoreError
 from multilight.datagen.report import Report, silent
-from multilight.datagen.storage.index import index_row, parse_index
+from multilight.datagen.storage.blocks import Index, block_file, read_blocks, stated_blocks
+from multilight.datagen.storage.index import ADDED, index_row
 from multilight.datagen.storage.place import Place, find_place
 from multilight.datagen.storage.records import GHOSTS, AssetCredit, DatasetRecord, SceneRecord
-from multilight.datagen.storage.source import MOST_INDEX, read_record, scene_names
+from multilight.datagen.storage.source import read_record, scene_names, spread
 from multilight.datagen.storage.store import MOST_RECORD, file_sha256, parse_dataset, scene_folder, scene_number
 from multilight.datagen.verification.views import Fault, Lend, verify_views
 
@@ -45,28 +45,33 @@ class Files:
 
 
 @dataclass(frozen=True)
-class _Index:
-    """The rows of an index by scene; `whole` where it is the one that `dataset.json` states."""
+class _Rows:
+    """An index, and for each scene its block and place in there."""
 
-    table: pl.DataFrame | None
-    places: dict[int, int]
-    whole: bool
+    index: Index
+    places: dict[int, tuple[int, int]]
 
     def faults(self, record: SceneRecord) -> Iterator[str]:
         """Say what of a scene's row is wrong; that there is none is told of the dataset."""
-        place = self.places.get(record.index)
-        if self.table is None or place is None:
+        if record.index not in self.places:
             return
-        if self.whole and self.table["record_sha256"][place] == record.record_sha256:
+        block, place = self.places[record.index]
+        table = self.index.tables[block]
+        row = table.row(place, named=True)
+        if block not in self.index.faults and row.get("record_sha256") == record.record_sha256:
             return
-        row, wanted = self.table.row(place, named=True), index_row(record)
-        if wrong := [name for name, value in wanted.items() if name in row and row[name] != value]:
+        wanted = index_row(record)
+        new = {name for name in ADDED if name in row and row[name] is None}
+        if wrong := [name for name in wanted if name in row and row[name] != wanted[name] and name not in new]:
             yield f"index.parquet states another {', '.join(wrong)} than scene.json"
 
 
-def verify_dataset(address: str, *, quick: bool = False, report: Report = silent) -> Verification:
+def verify_dataset(
+    address: str, *, quick: bool = False, sample: int | None = None, report: Report = silent
+) -> Verification:
     """Check a dataset at any address; `quick` leaves out what the pictures hold; `report` is told of scenes.
 
+    With `sample` only so many scenes are looked into, spread evenly, besides the index and which scenes there are.
     Raises `StoreError` where there is no dataset.
     """
     place = find_place(address)
@@ -80,27 +85,34 @@ def verify_dataset(address: str, *, quick: bool = False, report: Report = silent
         faults.append(_of_all(str(error)))
     version = "" if record is None else f"schema {record.schema_version}, "
     version += "" if record is None else f"multilight {record.versions.get('multilight', 'of unknown version')}"
-    return Verification(version or "unknown", list(_results(place, record, faults, report, quick=quick)))
+    return Verification(version or "unknown", list(_results(place, record, faults, report, quick=quick, sample=sample)))
 
 
 def _results(
-    place: Place, record: DatasetRecord | None, faults: list[Fault], report: Report, *, quick: bool
+    place: Place,
+    record: DatasetRecord | None,
+    faults: list[Fault],
+    report: Report,
+    *,
+    quick: bool,
+    sample: int | None,
 ) -> Iterator[Result]:
     if record is not None and record.schema_version <= GHOSTS:
         faults.append(_of_all(ANEW))
-    index = _read_index(place, record, faults)
-    scenes = _scenes(place, record, index, faults)
+    rows = _read_index(place, record, faults)
+    scenes = _scenes(place, record, rows, faults)
     yield None, faults
     credits: dict[str, AssetCredit] = {}
-    unread = False
-    for done, number in enumerate(scenes):
-        report(done, len(scenes))
+    chosen = spread(scenes, sample)
+    unread = len(chosen) < len(scenes)
+    for done, number in enumerate(chosen):
+        report(done, len(chosen))
         try:
             files = check_files(place, number, record)
             found = files.faults
             if files.record is not None:
                 credits |= {credit.id: credit for credit in files.record.assets}
-                found += [Fault(number, None, "index", message) for message in index.faults(files.record)]
+                found += [Fault(number, None, "index", message) for message in rows.faults(files.record)]
                 if not quick:
                     lend = _lender(place, number)
                     found += verify_views(files.record, lend, left_out=files.unread)
@@ -176,39 +188,41 @@ def _of_all(message: str) -> Fault:
     return Fault(None, None, "files", message)
 
 
-def _read_index(place: Place, record: DatasetRecord | None, faults: list[Fault]) -> _Index:
+def _read_index(place: Place, record: DatasetRecord | None, faults: list[Fault]) -> _Rows:
     """Read the index as far as it can be, and say what is wrong with it as a whole."""
-    whole = False
-    try:
-        content = place.read("index.parquet", MOST_INDEX)
-        older = record is not None and record.schema_version <= GHOSTS
-        if record is not None and not older:
-            whole = hashlib.sha256(content).hexdigest() == record.index_sha256
-            if not whole:
-                faults.append(Fault(None, None, "index", "index.parquet is not the one that dataset.json states"))
-        table = parse_index(content, "index.parquet", older=older)
-    except StoreError as error:
-        faults.append(Fault(None, None, "index", str(error)))
-        return _Index(None, {}, whole=False)
-    if record is not None and whole and record.index_rows != len(table):
-        told = f"index.parquet has {len(table)} rows, dataset.json states {record.index_rows}"
-        faults.append(Fault(None, None, "index", told))
-    return _Index(table, {number: place for place, number in enumerate(table["index"])}, whole)
+    if record is None:  # nothing states which files it has
+        return _Rows(Index(), {})
+    index = read_blocks(place, record)
+    told = [message.removeprefix(f"{place.address}/") for message in index.faults.values()]
+    count = sum(map(len, index.tables.values()))
+    if not told and record.schema_version > GHOSTS and record.index_rows != count:
+        told.append(f"index.parquet has {count} rows, dataset.json states {record.index_rows}")
+    if place.is_local:
+        there = {f"index/{name}" for name in place.names("index") or ()}
+        strays = sorted(there - {block_file(number) for number in stated_blocks(record)})
+        told += [f"{name} is no file of this dataset; remove it" for name in strays]
+    thrown: Counter[str] = Counter()
+    for table in index.tables.values() if not told else ():
+        thrown.update(table["thrown_away"].explode().drop_nulls() if "thrown_away" in table.columns else ())
+    if not told and record.thrown_away != thrown:
+        told.append("dataset.json counts other draws that were thrown away than its scenes")
+    faults += [Fault(None, None, "index", message) for message in told]
+    return _Rows(index, {n: (b, place) for b, t in index.tables.items() for place, n in enumerate(t["index"])})
 
 
-def _scenes(place: Place, record: DatasetRecord | None, index: _Index, faults: list[Fault]) -> list[int]:
+def _scenes(place: Place, record: DatasetRecord | None, rows: _Rows, faults: list[Fault]) -> list[int]:
     """List the scenes to check, and name those that are missing or too many."""
     names = place.names("scenes")
     if names is None:  # the place cannot list
-        return sorted(index.places)
+        return sorted(rows.places)
     found = {number for name in names if (number := scene_number(name)) is not None}
     for name in names:
         if scene_number(name) is None:
             faults.append(_of_all(f"scenes/{name} is no scene of this dataset; remove it"))
-    for number in sorted(set(index.places) - found):
+    for number in sorted(set(rows.places) - found):
         faults.append(Fault(number, None, "files", f"{scene_folder(number)} is missing, the index has a row of it"))
-    if index.table is not None:
-        for number in sorted(found - set(index.places)):
+    if rows.index.tables:
+        for number in sorted(found - set(rows.places)):
             faults.append(Fault(number, None, "index", "index.parquet has no row of it"))
     if record is not None:
         for number in sorted(n for n in found if n >= record.config.scenes):

@@ -98,7 +98,7 @@ def verify_rendered(record: SceneRecord, number: int, view: ViewData, made: View
         *(("files", m) for m in _content(record, number, view)),
         *(("finite", m) for m in _finite(view)),
         *(("additivity", m) for m in _additivity(record, number, view)),
-        *(("masks", m) for m in _masks(record, view)),
+        *(("masks", m) for m in _masks(record, number, view)),
     ]
     if not any(check in ("files", "finite") for check, _ in found):
         found += [("composite", m) for m in _composite(record, view)]
@@ -188,13 +188,16 @@ STRAY = 0.01
 """Fraction of an object's inner pixels whose centre may see something else, through a gap that all samples missed."""
 
 
-def _masks(record: SceneRecord, view: ViewData) -> Iterator[str]:
+def _masks(record: SceneRecord, number: int, view: ViewData) -> Iterator[str]:
     ids, environment = view.geometry.instance_id, view.geometry.environment
     if ids.max() > len(record.scene.bodies):
         yield f"instance_id {ids.max()} is beyond the scene's {len(record.scene.bodies)} bodies"
     total = sum(view.coverage.values(), start=environment)
     if total.max() > 1 + OVERLAP:
         yield f"coverages and environment add up to {total.max():.3f} in a pixel"
+    for name, stated in record.views[number].pixels.items():
+        if name in view.coverage and (found := float(view.coverage[name].sum(dtype=np.float64))) != stated:
+            yield f"{name} covers {found} pixels, scene.json states {stated}"
     for name, alpha in view.coverage.items():
         # Away from the outline: where few samples all hit the object, the pixel's centre may still lie beside it.
         inside = binary_erosion(alpha >= 0.999, np.ones((3, 3)))

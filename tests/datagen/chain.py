@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from multilight.datagen.production.finishing import Survey, finish
+from multilight.datagen.storage.index import index_row
 from multilight.datagen.storage.records import record_hash
-from multilight.datagen.storage.store import read_dataset, read_scene, scene_dir, scene_indices
+from multilight.datagen.storage.store import read_scene, scene_dir, scene_indices
 
 Json = dict[str, Any]
 
@@ -21,7 +22,8 @@ def rewrite_json(path: Path, change: Callable[[Json], object]) -> None:
 
 def chain(root: Path) -> None:
     """Write index and `dataset.json` as the scenes' records are now."""
-    there = Survey()
-    for index in scene_indices(root):
-        there.add(read_scene(scene_dir(root, index)))
-    finish(root, read_dataset(root), there)
+    there = Survey(unread={0})
+    for record in (read_scene(scene_dir(root, index)) for index in scene_indices(root)):
+        there.add(index_row(record), record.assets)
+    (root / "index.parquet").unlink(missing_ok=True)
+    finish(root, there)

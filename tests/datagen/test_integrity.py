@@ -21,8 +21,9 @@ from multilight.datagen.backends.analytic import AnalyticBackend
 from multilight.datagen.cli import main
 from multilight.datagen.config.dataset import RendererName
 from multilight.datagen.errors import StoreError
-from multilight.datagen.production.dataset import Plan
+from multilight.datagen.production.dataset import Plan, _Watch
 from multilight.datagen.production.scene import SceneMaker, make_scene
+from multilight.datagen.production.worker import report_of
 from multilight.datagen.storage.index import index_bytes, parse_index
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.source import open_dataset
@@ -292,10 +293,11 @@ def in_one_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make scenes in this process: many repairs, each with workers of its own, would take minutes."""
     library = AssetLibrary()
 
-    def make(plan: Plan, renderer: RendererName, missing: tuple[int, ...], _: object) -> dict[int, str]:
+    def make(plan: Plan, renderer: RendererName, missing: tuple[int, ...], watch: _Watch) -> dict[int, str]:
         with AnalyticBackend() as backend:
+            maker = SceneMaker(plan.config, renderer, plan.root, library, backend, 1)
             for index in missing:
-                make_scene(SceneMaker(plan.config, renderer, plan.root, library, backend, 1), index)
+                watch.take(report_of(make_scene(maker, index), {}))
         return {}
 
     monkeypatch.setattr("multilight.datagen.production.dataset._run", make)

@@ -91,8 +91,7 @@ MISTAKES = {
     f"{INSERT} --out O --pose NONE": "--pose NONE does not exist",
     f"{INSERT} --out O --gaussians NONE": "--gaussians NONE does not exist",
     # values that make no sense, alone or together
-    "stats": "say either which dataset to measure",
-    "stats DATA --sample 3": "say either which dataset to measure",
+    "stats": "say which dataset to measure",
     "sheet DATA --out O.txt": "the suffix must be",
     "mix DATA --out O.txt": "O.txt",
     f"{PICTURES} --out O.txt": "no picture is written that ends in '.txt'; use .png or .jpg",

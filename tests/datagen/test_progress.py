@@ -49,14 +49,9 @@ def test_sizes_in_words(count: int, said: str) -> None:
 
 
 def test_the_last_line_counts_scenes_bytes_and_draws_thrown_away(tmp_path: Path) -> None:
-    for index in range(2):
-        views = tmp_path / "scenes" / f"{index:06d}" / "views"
-        views.mkdir(parents=True)
-        for number in range(3):
-            (views / f"{number:02d}.exr").write_bytes(bytes(1000))
     plan = Plan(tmp_path, DatasetConfig(), (0, 1, 2, 3), 2)
     reasons = ("contacts: nothing carries glasses", "noise: view 1: too much", "contacts: nothing carries cup")
-    outcome = Outcome((0, 1), 1, {3: "no"}, {}, {"render": 3.0, "rest": 1.0}, (), reasons)
+    outcome = Outcome((0, 1), 1, {3: "no"}, {}, {"render": 3.0, "rest": 1.0}, (), reasons, 6, 6000)
     assert summary(plan, outcome, 65.0) == (
         "3 of 4 scenes ok: 2 made, 1 kept, 1 failed; 6 views, 6 kB; 1 min 05 s (render 75%, rest 25%); "
         "3 drawn anew (contacts 2, noise 1)"

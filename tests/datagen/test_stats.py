@@ -27,12 +27,14 @@ from multilight.datagen.stats.quantities import (
     filled_fraction,
 )
 from multilight.datagen.storage.records import SceneRecord
-from multilight.datagen.storage.store import read_scene, scene_dir
+from multilight.datagen.storage.store import read_dataset, read_scene, scene_dir
+from multilight.datagen.verification.dataset import verify_dataset
 from multilight.lights.spec import LightRig, SunLight
 from multilight.scenes.appearance import material_class
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.spec import Material
 from tests.conftest import SPHERES
+from tests.datagen.chain import chain, rewrite_json
 
 BY_KEY = {quantity.key: quantity for quantity in QUANTITIES}
 
@@ -225,7 +227,7 @@ def test_stats_from_specifications_alone(capsys: pytest.CaptureFixture[str], tmp
     assert "luminance" not in {entry["key"] for entry in found["quantities"]}
 
 
-@pytest.mark.parametrize("words", [[], ["--sample", "0"], ["DIR", "--sample", "2"], ["DIR"]])
+@pytest.mark.parametrize("words", [[], ["--sample", "0"], ["DIR"]])
 def test_stats_says_what_it_needs(words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["stats", *(str(tmp_path) if word == "DIR" else word for word in words)]) == 1
     line = capsys.readouterr().err
@@ -243,3 +245,25 @@ def test_samples_are_those_of_the_dataset(spheres_dataset: Path) -> None:
     stored = [read_scene(scene_dir(spheres_dataset, i)) for i in range(2)]
     facts = [scene_facts(r.scene, r.rig, r.split, library) for r in stored]
     assert sampled.values == summarize("t", facts, []).values
+
+
+def test_a_sample_of_a_dataset(spheres_dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["stats", str(spheres_dataset), "--out", str(tmp_path)]
+    assert main([*words, "--sample", "1"]) == 0
+    assert "dataset: 1 of 2 scenes" in capsys.readouterr().out
+    assert main(words) == 0
+    assert "dataset: 2 scenes" in capsys.readouterr().out
+
+
+def test_what_was_thrown_away_is_told(spheres_copy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    reasons = ["contacts: nothing carries cup", "exposure: view 1: black"]
+    for index, why in enumerate((reasons, reasons[:1])):
+        path = spheres_copy / f"scenes/{index:06d}/scene.json"
+        rewrite_json(path, lambda record, why=why: record.update(thrown_away=why, attempt=len(why)))
+    chain(spheres_copy)
+    assert read_dataset(spheres_copy).thrown_away == {"contacts": 2, "exposure": 1}
+    assert verify_dataset(str(spheres_copy), quick=True).results[0][1] == []
+    assert main(["stats", str(spheres_copy), "--out", str(tmp_path)]) == 0
+    assert "3 draws failed a check and were drawn anew: contacts 2, exposure 1" in capsys.readouterr().out
+    rewrite_json(spheres_copy / "dataset.json", lambda record: record.update(thrown_away={"contacts": 1}))
+    assert "counts other draws" in verify_dataset(str(spheres_copy), quick=True).results[0][1][0].message
