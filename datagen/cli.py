@@ -35,7 +35,7 @@ CONTINUED = ("dataset", "scene", "import", "pack", "export", "train", "ablate")
 """Commands that go on where they were stopped."""
 GROUPS = {
     "make": ("dataset", "scene", "import"),
-    "look": ("verify", "mix", "sheet", "stats", "query"),
+    "look": ("view", "verify", "mix", "sheet", "stats", "query"),
     "share": ("export", "pack"),
     "learn": ("train", "evaluate", "ablate"),
     "use on your own pictures": ("harmonize", "insert"),
@@ -56,6 +56,7 @@ COMMANDS: dict[str, type] = {
     "dataset": make.Dataset,
     "scene": make.Scene,
     "verify": inspect.Verify,
+    "view": inspect.View,
     "mix": inspect.Mix,
     "sheet": inspect.Sheet,
     "stats": inspect.Stats,

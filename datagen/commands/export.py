@@ -1,6 +1,7 @@
 """The command `export`: a dataset written out in a layout that others read, one sub-command a format."""
 
 import os
+import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -174,11 +175,33 @@ class Luxremix(_Source):
         return 0
 
 
+@dataclass(kw_only=True)
+class Web(_Source):
+    """The light mixer as a web page of plain files: as `multilight view`, for any web server."""
+
+    scenes: tuple[int, ...] = ()
+    """Indices of the scenes to show (default: all)."""
+
+    def run(self) -> int:
+        """Write the page and return the exit code."""
+        from multilight.datagen.export.web.export import export_web
+
+        if self.scenes:
+            named = f"index in ({', '.join(map(str, self.scenes))})"
+            self.where = named if self.where is None else f"({self.where}) and {named}"
+        with self.opened() as (source, report):
+            if missing := sorted(set(self.scenes) - set(source.indices)):
+                raise UserError(f"--scenes {missing[0]} is not in {self.dir}, or not among those of --where")
+            count = export_web(source, self.out, report)
+        print(f"{self.out}: {count} scenes; look at it with: python3 -m http.server --directory {shlex.quote(str(self.out))}")
+        return 0
+
+
 @dataclass
 class Export:
     """Write a dataset out in a layout that others read."""
 
-    format: tyro.conf.OmitSubcommandPrefixes[DtcMultilight | Usd | Webdataset | Nerfstudio | Colmap | Luxremix]
+    format: tyro.conf.OmitSubcommandPrefixes[DtcMultilight | Usd | Webdataset | Nerfstudio | Colmap | Luxremix | Web]
 
     def run(self) -> int:
         """Run the format's own command and return the exit code."""

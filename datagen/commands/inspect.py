@@ -1,4 +1,4 @@
-"""Commands that look at what was made: `verify`, `mix`, `sheet`, `stats`."""
+"""Commands that look at what was made: `verify`, `view`, `mix`, `sheet`, `stats`."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -52,6 +52,40 @@ class Verify:
         with progress("scenes", "verifying") as report:
             checked = verify_dataset(self.dir, quick=self.quick, sample=self.sample, report=report)
         return print_verification(self.dir, checked, as_json=self.json)
+
+
+@dataclass
+class View:
+    """Open the light mixer in a browser: every light, object and view of a dataset, mixed live.
+
+    The page is served on this machine alone, until it is stopped (Ctrl+C).
+    """
+
+    address: tyro.conf.Positional[str]
+    """Folder or address of the dataset."""
+    where: str | None = field(default=None, kw_only=True)
+    """Which scenes: an SQL expression over the index, as in `multilight query`."""
+    port: int | None = field(default=None, kw_only=True)
+    """Port to listen on (default: 8765, or a free one where that is taken)."""
+    no_open: bool = field(default=False, kw_only=True)
+    """Only serve the page; open no browser."""
+
+    def run(self) -> int:
+        """Serve the page until it is stopped."""
+        from multilight.datagen.storage.source import open_dataset
+        from multilight.datagen.view.server import listen, open_browser
+
+        if self.port is not None and not 0 <= self.port < 1 << 16:
+            raise UserError(f"--port {self.port} must be 0 to {(1 << 16) - 1}")
+        source = open_dataset(self.address, where=self.where)
+        if not source.indices:
+            chosen = f" for which {self.where}" if self.where else ""
+            raise UserError(f"{self.address} holds no finished scene{chosen}")
+        with listen(source, self.port) as server:
+            opened = not self.no_open and open_browser(server.address)
+            print(f"{server.address} {'is open in the browser' if opened else 'shows it'}; Ctrl+C ends", flush=True)
+            server.serve_forever()
+        return 0
 
 
 class Mix(MixRequest):

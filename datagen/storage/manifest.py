@@ -25,7 +25,7 @@ from multilight.scenes.frozen import Frozen
 MANIFEST = "manifest.json"
 JOURNAL = ".manifest.jsonl"
 """The manifest of what is being made: a line for what is alike everywhere, then one for each part."""
-Kind = Literal["packed", "dtc-multilight", "webdataset", "nerfstudio", "colmap", "luxremix", "usd"]
+Kind = Literal["packed", "dtc-multilight", "webdataset", "nerfstudio", "colmap", "luxremix", "usd", "web"]
 Settings = dict[str, str | int | float | bool | None]
 
 

@@ -1,0 +1,1 @@
+"""The light mixer as plain files."""
