@@ -28,7 +28,7 @@ def read_lights(
     """Return the lights of these prims in order; `place` gives a prim's matrix (4, 4), world from prim."""
     brought = {} if library.background is None else {light.name: light.map for light in library.background.lights}
 
-    def keep_map(file: Any, prim: Any) -> tuple[str, Rgb]:
+    def keep_map(file: Any, prim: Any, _: Any) -> tuple[str, Rgb]:
         asset = prim.GetAttribute(IMAGE).Get() if prim.HasAttribute(IMAGE) else None
         if asset is not None and bodies.is_installed(asset, Path(file.resolvedPath), environment=True):
             return str(asset), WHITE

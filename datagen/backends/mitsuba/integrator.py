@@ -279,9 +279,8 @@ def _arriving(
 ) -> tuple[mi.Bool, mi.Float, mi.UInt32]:
     """Tell where a light's sample counts, and there the fraction that gets through and the removable bodies met."""
     usable = on & (found.pdf > 0) & (dr.max(light_in) > 0)
-    # Where the shading normal says yes and the surface itself no, light would leak through.
-    if not world.surfaces.glass:
-        usable &= dr.dot(hit.ng, found.d) > 0
+    # Where the shading normal says one side and the surface itself the other, light would leak through.
+    usable &= (dr.dot(hit.ng, found.d) > 0) == (dr.dot(hit.ns, found.d) > 0)
     return usable, *_blocked(world, hit, found, usable)
 
 

@@ -180,7 +180,7 @@ def _converted(file: Path, found: Imported, work: Path) -> _Index:
         raise AssetError(
             f"{file} is {size:.4g} m large, expected {SMALLEST:g} to {LARGEST:g}; export it again in metres"
         )
-    order = np.argsort(-(high - low).max(axis=1), kind="stable")
+    order = np.argsort(-(high - low).max(axis=1).round(4), kind="stable")  # alike whatever format it came in
     ordered = [nodes[int(i)] for i in order]
     if len(ordered) > MOST_NODES:
         ordered = [*ordered[: MOST_NODES - 1], _merged(ordered[MOST_NODES - 1 :])]

@@ -12,18 +12,21 @@ from typing import Any
 
 import numpy as np
 from pxr import UsdGeom, UsdLux
+from scipy import ndimage
 
 from multilight.scenes.arrays import Float32, Float64
 from multilight.scenes.assets.environments import read_environment, read_hdr
 from multilight.scenes.assets.formats.ies import parse_ies
 from multilight.scenes.assets.formats.scene_file import Emission, FoundLight
 from multilight.scenes.assets.formats.usd.materials import (
+    Tell,
     by_blender,
     inputs_of,
     open_picture,
     read_resolved,
     resolved_file,
     rgb_of,
+    title_of,
 )
 from multilight.scenes.assets.formats.usd.names import PROFILE
 from multilight.scenes.assets.info import AssetError
@@ -31,22 +34,30 @@ from multilight.scenes.colour import LUMINOUS_EFFICACY, srgb_decode
 from multilight.scenes.frozen import Rgb
 from multilight.scenes.poses import matrix4, pose_of
 
+KINDS = (
+    UsdLux.SphereLight, UsdLux.RectLight, UsdLux.DiskLight, UsdLux.DistantLight, UsdLux.DomeLight, UsdLux.DomeLight_1,
+)  # fmt: skip
+"""Lights that are read as such; a cylinder light becomes a glowing tube."""
+
 
 @dataclass(frozen=True)
 class LightReader:
     """Reads the lights of the stage at `path`.
 
-    `keep_map` stores a dome's texture and returns its name, or none where it is of one colour, which comes beside;
-    `note` takes what is not carried: place, feature, what happens instead, remedy.
+    `keep_map` stores a dome's texture, turned upright by a rotation (3, 3) where one is given, and returns its name, or
+    none where it is of one colour, which comes beside.
     """
 
     path: Path
-    keep_map: Callable[[Any, Any], tuple[str | None, Rgb]]
-    note: Callable[[Any, str, str, str], None] = lambda *_: None
+    keep_map: Callable[[Any, Any, Float64 | None], tuple[str | None, Rgb]]
+    note: Tell = lambda *_: None
 
-    def glow(self, prim: Any) -> Emission:
-        """Return what a shape that is a light gives off."""
+    def glow(self, prim: Any, matrix: Float64) -> Emission:
+        """Return what a shape placed by `matrix` (4, 4) that is a light gives off."""
         level, colour = _level(prim)
+        if prim.IsA(UsdLux.CylinderLight) and inputs_of(UsdLux.LightAPI(prim))("normalize", False):
+            length, radius = tube_of(prim)
+            level /= 2 * math.pi * radius * length * abs(np.linalg.det(matrix[:3, :3])) ** (2 / 3)
         return Emission(amount=rgb_of(colour * level))
 
     def read(self, prim: Any, matrix: Float64) -> FoundLight:
@@ -59,7 +70,7 @@ class LightReader:
 
         def made(kind: Any, amount: float, unit: Any, **more: Any) -> FoundLight:
             return FoundLight(
-                kind=kind, name=prim.GetName(), amount=rgb_of(colour * amount), unit=unit, pose=matrix4(pose), **more
+                kind=kind, name=title_of(prim), amount=rgb_of(colour * amount), unit=unit, pose=matrix4(pose), **more
             )
 
         if prim.IsA(UsdLux.SphereLight):
@@ -76,7 +87,7 @@ class LightReader:
             amount = level / area if normalized else level
             return made("area", amount, "nit", width=size[0], height=size[1], ellipse=True)
         if prim.IsA(UsdLux.DistantLight):
-            angle = math.radians(float(value("angle", 0.53)))
+            angle = math.radians(float(value("angle", 0.53))) * (2 if by_blender(prim.GetStage()) else 1)
             spread = math.pi * math.sin(angle / 2) ** 2
             return made("sun", level if normalized or spread == 0 else level * spread, "lx", angle=angle)
         if prim.IsA(UsdLux.DomeLight) or prim.IsA(UsdLux.DomeLight_1):
@@ -95,11 +106,11 @@ class LightReader:
         file = prim.GetAttribute("inputs:texture:file").Get()
         if file is None or not file.path:
             return made("environment", level, "nit")
-        if pole[2] < 0.999:
-            raise AssetError(f"{self.path}: the dome light {prim.GetPath()} is tilted; rotate its pole upright")
-        rotation = math.atan2(centre[1], centre[0])
-        name, tint = self.keep_map(file, prim)
-        light: FoundLight = made("environment", level, "nit", map=name, rotation=rotation if name else 0.0)
+        upright = pole[2] >= 0.999
+        # Rows: where the map's centre, left and pole look in the world.
+        name, tint = self.keep_map(file, prim, None if upright else np.stack([centre, np.cross(pole, centre), pole]))
+        rotation = math.atan2(centre[1], centre[0]) if name and upright else 0.0
+        light: FoundLight = made("environment", level, "nit", map=name, rotation=rotation)
         return light.model_copy(update={"amount": rgb_of(np.array(light.amount) * tint)})
 
     def _sphere(self, made: Any, prim: Any, level: float, radius: float, normalized: bool) -> FoundLight:
@@ -132,6 +143,12 @@ class LightReader:
         return found.profile, found.candela * (4 * math.pi / found.lumens if normalized else 1.0)
 
 
+def tube_of(prim: Any) -> tuple[float, float]:
+    """Return length and radius of a cylinder light."""
+    value = inputs_of(UsdLux.LightAPI(prim))
+    return float(value("length", 1.0)), float(value("radius", 0.5))
+
+
 def _level(prim: Any) -> tuple[float, Float64]:
     """Return a light's luminance [cd/m²] and its colour (3,)."""
     value = inputs_of(UsdLux.LightAPI(prim))
@@ -156,6 +173,21 @@ def read_map(path: Path, file: Any, where: Any) -> Float32:
         raise AssetError(f"{path}: {where} names {file.path!r}; convert it to EXR")
     pixels = np.asarray(open_picture(path, file, where).convert("RGB"), np.float32) / 255
     return srgb_decode(pixels).astype(np.float32)
+
+
+def upright(image: Float32, axes: Float64) -> Float32:
+    """Turn a map (H, W, 3) whose centre, left and top look along the rows of `axes` (3, 3) so that its top is +Z."""
+    height, width = image.shape[:2]
+    azimuth = np.pi - 2 * np.pi * (np.arange(width) + 0.5) / width
+    latitude = (np.pi / 2 - np.pi * (np.arange(height) + 0.5) / height)[:, None]
+    flat = np.cos(latitude)
+    seen = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(latitude) + 0 * azimuth], axis=-1) @ axes.T
+    column = (np.pi - np.arctan2(seen[..., 1], seen[..., 0])) / (2 * np.pi) * width - 0.5
+    row = np.clip((np.pi / 2 - np.arcsin(np.clip(seen[..., 2], -1, 1))) / np.pi * height - 0.5, 0, height - 1)
+    channels = [
+        ndimage.map_coordinates(image[..., channel], [row, column], order=1, mode="grid-wrap") for channel in range(3)
+    ]
+    return np.stack(channels, axis=-1).astype(np.float32)
 
 
 def _pole_axis(prim: Any) -> str:

@@ -2,14 +2,13 @@
 
 import zipfile
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from PIL import Image
-from pxr import UsdShade
+from pxr import Usd, UsdShade
 
 from multilight.scenes.assets.formats.coordinates import Place, Wrap, affine_of, common
 from multilight.scenes.assets.formats.mtl import part_name
@@ -17,7 +16,7 @@ from multilight.scenes.assets.formats.pictures import as_eight_bit
 from multilight.scenes.assets.formats.scene_file import EMISSION_NITS, Emission
 from multilight.scenes.assets.formats.usd.names import BASE, IMAGE, NAME, NITS, OPACITY, OWN, TRANSMISSION
 from multilight.scenes.assets.info import AssetError
-from multilight.scenes.colour import LUMINOUS_EFFICACY
+from multilight.scenes.colour import LUMINOUS_EFFICACY, srgb_decode, srgb_encode
 from multilight.scenes.files import limits
 from multilight.scenes.files.inside import OutsideError, held
 from multilight.scenes.frozen import Rgb
@@ -45,6 +44,16 @@ _SURFACES = {
 }  # fmt: skip
 """MaterialX surfaces, and what their inputs are called that UsdPreviewSurface has; `glow` multiplies the emission."""
 SURFACES = ("UsdPreviewSurface", "ND_UsdPreviewSurface_surfaceshader", *_SURFACES)
+PICTURED = ("diffuseColor", "roughness", "normal", "emissiveColor", "metallic", "opacity")
+"""Inputs whose pictures are carried."""
+_NEUTRAL = {
+    "fuzz_weight": "sheen", "sheen": "sheen", "sheen_color": "sheen", "subsurface_weight": "light below the surface",
+    "subsurface": "light below the surface", "specular_roughness_anisotropy": "anisotropy",
+    "specular_anisotropy": "anisotropy", "anisotropy_strength": "anisotropy", "thin_film_weight": "a thin film",
+    "thin_film_thickness": "a thin film",
+}  # fmt: skip
+"""Inputs of MaterialX surfaces that are not carried where they are above 0."""
+_LEVELS = np.arange(256) / 255
 _DULL = {"diffuseColor": (0.8, 0.8, 0.8), "roughness": 0.3}
 """What MaterialX surfaces have where they say nothing."""
 
@@ -65,16 +74,22 @@ class Picture:
 
 TextureOf = Callable[[Picture, str], Texture]
 """Stores a picture in a mode ("RGB", "RGBA", "L") and returns the texture that stands for it."""
+Tell = Callable[[Any, str, str, str], None]
+"""Takes what is not carried: place, feature, what happens instead, remedy."""
+NOW = Usd.TimeCode.EarliestTime()
+"""The time of the stage that is read: what moves is as it begins, what does not is as it is."""
 
 
 def bound_surface(prim: Any) -> Any:
-    """Return the surface shader bound to a prim, UsdPreviewSurface before MaterialX; None where there is none."""
+    """Return the surface shader bound to a prim; None where there is none.
+
+    UsdPreviewSurface goes before MaterialX, unless that lets light through, for which the other has no word.
+    """
     material = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
-    for context in ("", "mtlx") if material else ():
-        shader = material.ComputeSurfaceSource(context)[0]
-        if shader and shader.GetIdAttr().Get() in SURFACES:
-            return shader
-    return None
+    found = [material.ComputeSurfaceSource(context)[0] for context in ("", "mtlx")] if material else []
+    found = [shader for shader in found if shader and shader.GetIdAttr().Get() in SURFACES]
+    clear = [s for s in found if (t := _SURFACES.get(s.GetIdAttr().Get(), {}).get("through")) and inputs_of(s)(t, 0.0)]
+    return next(iter(clear or found), None)
 
 
 def by_blender(stage: Any) -> bool:
@@ -82,12 +97,33 @@ def by_blender(stage: Any) -> bool:
     return str(stage.GetRootLayer().documentation).startswith("Blender v")
 
 
+def title_of(prim: Any) -> str:
+    """Return a prim's name; in stages by Blender, where things are named after their data, that of its object."""
+    parent = prim.GetParent()
+    named = by_blender(prim.GetStage()) and parent.GetTypeName() == "Xform" and not parent.GetParent().IsPseudoRoot()
+    return str((parent if named else prim).GetName())
+
+
+def _source(owner: Any, name: str) -> Any:
+    """Return what an input's value comes of, through graphs and interfaces: an input or an output; None: nothing."""
+    given = owner.GetInput(name)
+    found = given.GetValueProducingAttributes() if given else []
+    return found[0] if found else None
+
+
+def _feeding(owner: Any, name: str) -> Any:
+    """Return the output that feeds an input; None where none does."""
+    source = _source(owner, name)
+    return source if source is not None and source.GetName().startswith("outputs:") else None
+
+
 def inputs_of(owner: Any) -> Callable[[str, Any], Any]:
     """Return a function that looks an input's value up: (name, fallback) -> value."""
 
     def value(name: str, fallback: Any) -> Any:
-        found = owner.GetInput(name)
-        given = found.Get() if found else None
+        source = _source(owner, name)
+        fed = source is not None and source.GetName().startswith("outputs:")
+        given = owner.GetInput(name).Get(NOW) if fed else None if source is None else source.Get(NOW)
         return fallback if given is None else given
 
     return value
@@ -101,14 +137,17 @@ def rgb_of(colour: Any) -> Rgb:
 
 @dataclass(frozen=True)
 class Surface:
-    """A surface as it was read: its material, what it gives off, and the place of its coordinates."""
+    """A surface as it was read: its material, what it gives off, the place of its coordinates, its vertex colours."""
 
     material: Material
     emission: Emission | None
     place: Place
+    colors: str | None = None
 
 
-def read_material(path: Path, shader: Any, texture_of: TextureOf, *, has_uv: bool) -> Surface:
+def read_material(
+    path: Path, shader: Any, texture_of: TextureOf, *, has_uv: bool, tell: Tell = lambda *_: None
+) -> Surface:
     """Translate a surface of the stage at `path`; raises `AssetError` for a picture that cannot be read."""
     names = _SURFACES.get(shader.GetIdAttr().Get(), {})
     stated, found = inputs_of(shader), {}
@@ -116,23 +155,48 @@ def read_material(path: Path, shader: Any, texture_of: TextureOf, *, has_uv: boo
     def value(name: str, fallback: Any) -> Any:
         return stated(names.get(name, name), _DULL.get(name, fallback) if names else fallback)
 
-    for name in ("diffuseColor", "roughness", "normal", "emissiveColor", "metallic", "opacity"):
-        if has_uv and (picture := _picture(path, shader, names.get(name, name))) is not None:
+    def note(name: str, feature: str, instead: str) -> None:
+        tell(shader.GetPath(), f"its {names.get(name, name)} {feature}", instead, "bake it into a picture")
+
+    for name in PICTURED if has_uv else ():
+        picture = _picture(path, shader, names.get(name, name), colour=name.endswith("Color"))
+        if picture is not None:
             found[name] = picture
+    colors = _vertex_colours(shader, names.get("diffuseColor", "diffuseColor"))
+    for name in (*PICTURED, "ior", "clearcoat", "clearcoatRoughness", "through", "glow"):
+        feeding = _feeding(shader, names.get(name, name))
+        if feeding is not None and name not in found and not (name == "diffuseColor" and colors):
+            kind = UsdShade.Shader(feeding.GetPrim()).GetIdAttr().Get()
+            note(name, f"comes of a {kind}", "its plain value is shown")
+    for name, words in _NEUTRAL.items() if names else ():
+        if np.max(stated(name, 0.0)) > 0:
+            tell(shader.GetPath(), words, "the surface is shown without", "none")
     at = common([picture.place for picture in found.values()])
-    found = {k: v for k, v in found.items() if k == "diffuseColor" or v.place.within(at) is not None}
-    texture = partial(_texture, texture_of=texture_of, at=at)
+    elsewhere = {k for k, v in found.items() if k not in ("diffuseColor", "opacity") and v.place.within(at) is None}
+    for name in sorted(elsewhere):
+        note(name, "has a picture that lies in another way", "one value stands for it")
+
+    def number(name: str, fallback: float) -> float:
+        picture = found.get(name)
+        if picture is None:
+            return _share(value(name, fallback))
+        return _share(picture.scale[0] * (_mean(picture) if name in elsewhere else 1.0))
+
+    def texture(name: str, mode: str) -> Texture | None:
+        return _texture(None if name in elsewhere else found.get(name), mode, texture_of=texture_of, at=at)
+
     colour, clear = found.get("diffuseColor"), found.get("opacity")
     cut_out = colour is not None and clear is not None and clear.file == colour.file
     stop = _first(value("opacity", 1.0))
     if clear is not None:  # of another picture: its mean
-        mean = float(np.asarray(clear.image.convert("L"), np.float64).mean()) / 255
-        stop = clear.scale[3] if cut_out else clear.scale[0] * mean
+        stop = clear.scale[3] if cut_out else clear.scale[0] * _mean(clear)
+        if not cut_out:
+            note("opacity", "comes of a picture of its own", "one value, its mean")
     opacity, transmission = _clearness(shader, stop)
     own_name, own_base = (shader.GetPrim().GetParent().GetAttribute(name).Get() for name in (NAME, BASE))
     dim = _share(stated("base_weight", stated("base", 1.0))) if names else 1.0
     base = _level(colour, value("diffuseColor", (0.18, 0.18, 0.18))) if own_base is None else rgb_of(own_base)
-    rough, metal = found.get("roughness"), found.get("metallic")
+    base = _WHITE if colors else base
     ior = float(value("ior", 1.5))
     if value("useSpecularWorkflow", 0):
         zero = min(float(np.mean(value("specularColor", (0.0, 0.0, 0.0)))), 0.25)
@@ -141,11 +205,11 @@ def read_material(path: Path, shader: Any, texture_of: TextureOf, *, has_uv: boo
     material = Material(
         name=own_name or part_name(shader.GetPrim().GetParent().GetName()),
         base_color=(base[0] * dim, base[1] * dim, base[2] * dim),
-        base_color_texture=texture(colour, "RGBA" if cut_out else "RGB"),
-        roughness=_share(value("roughness", 0.5) if rough is None else rough.scale[0]),
-        roughness_texture=texture(rough, "L"),
-        metallic=_share(value("metallic", 0.0) if metal is None else metal.scale[0]),
-        metallic_texture=texture(metal, "L"),
+        base_color_texture=texture("diffuseColor", "RGBA" if cut_out else "RGB"),
+        roughness=number("roughness", 0.5),
+        roughness_texture=texture("roughness", "L"),
+        metallic=number("metallic", 0.0),
+        metallic_texture=texture("metallic", "L"),
         ior=float(np.clip(ior, 1.0, 3.0)),
         coat=_share(value("clearcoat", 0.0)),
         coat_roughness=_share(value("clearcoatRoughness", 0.01)),
@@ -153,21 +217,34 @@ def read_material(path: Path, shader: Any, texture_of: TextureOf, *, has_uv: boo
         opacity=opacity,
         opacity_from_alpha=cut_out,
         alpha_cutoff=threshold,
-        normal_texture=texture(found.get("normal"), "RGB"),
+        normal_texture=texture("normal", "RGB"),
     )
     glow = _level(found.get("emissiveColor"), value("emissiveColor", (0.0, 0.0, 0.0)))
     strength = float(value("glow", 0.0)) if names else 1.0
     if max(glow) * strength == 0:
-        return Surface(material, None, at)
+        return Surface(material, None, at, colors)
     unit = strength * (1.0 if names.get("glow") == "emission_luminance" else _emission_nits(shader))
     amount = (glow[0] * unit, glow[1] * unit, glow[2] * unit)
-    shown = texture(found.get("emissiveColor"), "RGB")
-    return Surface(material, Emission(amount=amount, texture=shown), at)
+    return Surface(material, Emission(amount=amount, texture=texture("emissiveColor", "RGB")), at, colors)
 
 
 def _first(value: Any) -> float:
     """Return a number, or the first of a colour's."""
     return float(value[0]) if hasattr(value, "__len__") else float(value)
+
+
+def _mean(picture: Picture) -> float:
+    return float(np.asarray(picture.image.convert("L"), np.float64).mean()) / 255
+
+
+def _vertex_colours(shader: Any, name: str) -> str | None:
+    """Return the primvar of colours that feeds an input; None where none does."""
+    feeding = _feeding(shader, name)
+    node = UsdShade.Shader(feeding.GetPrim()) if feeding is not None else None
+    kind = str(node.GetIdAttr().Get()) if node else ""
+    if kind.startswith(("UsdPrimvarReader_float", "ND_geompropvalue_color", "ND_geomcolor_color")):
+        return str(inputs_of(node)("varname", inputs_of(node)("geomprop", "displayColor")))
+    return None
 
 
 def _clearness(shader: Any, opacity: Any) -> tuple[float, float]:
@@ -202,24 +279,33 @@ def _texture(picture: Picture | None, mode: str, *, texture_of: TextureOf, at: P
     return texture_of(picture, mode).model_copy(update={"repeat": repeat, "wrap": picture.place.wrap})
 
 
-def _picture(path: Path, shader: Any, name: str) -> Picture | None:
-    """Open the picture that feeds an input; None where none does."""
-    given = shader.GetInput(name)
-    source: Any = given.GetConnectedSource() if given else None
-    node: Any = UsdShade.Shader(source[0].GetPrim()) if source else None
-    kind = str(node.GetIdAttr().Get()) if node else ""
-    if kind == "ND_normalmap":
-        return _picture(path, node, "in")
+def _picture(path: Path, shader: Any, name: str, *, colour: bool) -> Picture | None:
+    """Open the picture that feeds an input, a colour (in sRGB then) or a number; None where none does."""
+    output = _feeding(shader, name)
+    node: Any = UsdShade.Shader(output.GetPrim()) if output is not None else None
+    kind, channel = (str(node.GetIdAttr().Get()), output.GetBaseName()) if node else ("", "")
+    if kind.startswith(("ND_normalmap", "ND_convert_", "ND_separate")):
+        inner = _picture(path, node, "in", colour=colour)
+        return inner if inner is None or not kind.startswith("ND_separate") else _channel(inner, channel[-1:])
     if kind != "UsdUVTexture" and not kind.startswith(("ND_image_", "ND_tiledimage_", "ND_UsdUVTexture")):
         return None
     value = inputs_of(node)
     file = value("file", None)
     image = open_picture(path, file, node.GetPath())
-    if source[1] in ("r", "g", "b") and image.mode in ("RGB", "RGBA"):
-        image = image.getchannel(source[1].upper())
+    space = str(value("sourceColorSpace", "") or node.GetInput("file").GetAttr().GetColorSpace()).lower()
+    if colour and space.startswith(("raw", "lin")):
+        image = image.convert("RGB").point([round(255 * float(v)) for v in srgb_encode(_LEVELS)] * 3)
+    elif not colour and space.startswith("srgb") and name != "opacity":
+        image = image.convert("RGB").point([round(255 * float(v)) for v in srgb_decode(_LEVELS)] * 3)
     red, green, blue, alpha = (max(float(v), 0.0) for v in value("scale", (1.0, 1.0, 1.0, 1.0)))
     own = node.GetPrim().GetAttribute(IMAGE).Get()
-    return Picture(image, file.resolvedPath, (red, green, blue, alpha), _place(node), own)
+    return _channel(Picture(image, file.resolvedPath, (red, green, blue, alpha), _place(node), own), channel)
+
+
+def _channel(picture: Picture, name: str) -> Picture:
+    if name not in ("r", "g", "b") or picture.image.mode not in ("RGB", "RGBA"):
+        return picture
+    return replace(picture, image=picture.image.getchannel(name.upper()))
 
 
 def _place(node: Any) -> Place:
@@ -231,10 +317,8 @@ def _place(node: Any) -> Place:
         affine = np.diag([*value("uvtiling", (1.0, 1.0)), 1.0]).astype(np.float64)
         affine[:2, 2] = value("uvoffset", (0.0, 0.0))
     feeds: tuple[str, ...] = ("st", "texcoord")
-    while feed := next(
-        (i.GetConnectedSource() for n in feeds if (i := node.GetInput(n)) and i.HasConnectedSource()), None
-    ):
-        node, feeds = UsdShade.Shader(feed[0].GetPrim()), ("in",)
+    while (feed := next((found for name in feeds if (found := _feeding(node, name)) is not None), None)) is not None:
+        node, feeds = UsdShade.Shader(feed.GetPrim()), ("in",)
         value = inputs_of(node)
         if node.GetIdAttr().Get() == "UsdTransform2d":
             angle = np.radians(float(value("rotation", 0.0)))

@@ -5,24 +5,26 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdShade, UsdUtils
+from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdShade, UsdSkel, UsdUtils
 
 from multilight.scenes.arrays import Float64, Int64, Mask
 from multilight.scenes.assets.environments import keep_map
 from multilight.scenes.assets.formats.claims import check_triangles
 from multilight.scenes.assets.formats.cleaning import Z_UP_FROM_Y_UP, RawPart
 from multilight.scenes.assets.formats.coordinates import Place, laid
-from multilight.scenes.assets.formats.scene_file import FoundLight, Imported, KeepImage, Node, Note
-from multilight.scenes.assets.formats.usd.lights import LightReader, read_map
+from multilight.scenes.assets.formats.scene_file import Imported, KeepImage, Node, Note
+from multilight.scenes.assets.formats.usd.lights import KINDS, LightReader, read_map, tube_of, upright
 from multilight.scenes.assets.formats.usd.materials import (
+    NOW,
     Picture,
     Surface,
     bound_surface,
     package_of,
     read_material,
     rgb_of,
+    title_of,
 )
-from multilight.scenes.assets.formats.usd.shapes import SHAPES, read_shape
+from multilight.scenes.assets.formats.usd.shapes import SHAPES, Shape, read_shape, tube
 from multilight.scenes.assets.info import AssetError, unreadable
 from multilight.scenes.files.inside import OutsideError, held
 from multilight.scenes.files.limits import MOST_NODES, LimitError, check_file
@@ -95,7 +97,7 @@ class _Reader:
     def __init__(self, path: Path, stage: Any, keep: KeepImage, folder: Path) -> None:
         self._path, self._stage, self._keep, self._folder = path, stage, keep, folder
         self._world = world_from_stage(stage)
-        self._places = UsdGeom.XformCache()
+        self._places = UsdGeom.XformCache(NOW)
         self._lights = LightReader(path, self._keep_map, self._note)
         self._triangles = 0
         self._notes: list[Note] = []
@@ -113,21 +115,25 @@ class _Reader:
                 nodes += self._instances(UsdGeom.PointInstancer(prim))
                 prims.PruneChildren()
             elif any(prim.IsA(shape) for shape in SHAPES):
-                nodes.append(self._node(prim, self._matrix(prim)))
-            elif prim.HasAPI(UsdLux.LightAPI):
-                lights.append(self._light(prim))
-            elif prim.IsA(UsdGeom.Gprim):
+                nodes.append(self._node(prim, self._matrix(prim), read_shape(prim)))
+            elif prim.IsA(UsdLux.CylinderLight):
+                self._note(prim.GetPath(), "a CylinderLight", "it is a glowing tube that is seen", "none")
+                nodes.append(self._node(prim, self._matrix(prim), tube(*tube_of(prim))))
+            elif any(prim.IsA(kind) for kind in KINDS):
+                lights.append(self._lights.read(prim, self._matrix(prim)))
+            elif prim.IsA(UsdGeom.Gprim) or prim.HasAPI(UsdLux.LightAPI):
                 self._note(prim.GetPath(), f"a {prim.GetTypeName()}", "it is left out", "make it a mesh")
-        return Imported(tuple(node for node in nodes if node is not None), tuple(lights), tuple(self._notes))
+        made = sorted((node for node in nodes if node is not None), key=lambda node: node.name)
+        lights.sort(key=lambda light: light.name)
+        return Imported(tuple(made), tuple(lights), tuple(self._notes))
 
     def _note(self, place: Any, feature: str, instead: str, remedy: str) -> None:
         self._notes.append(Note(place=str(place), feature=feature, instead=instead, remedy=remedy))
 
     def _instances(self, instancer: Any) -> Iterator[Node | None]:
         """Place what a point instancer repeats."""
-        base, numbers = self._matrix(instancer.GetPrim()), instancer.GetProtoIndicesAttr().Get() or []
-        now = Usd.TimeCode.Default()
-        placed = instancer.ComputeInstanceTransformsAtTime(now, now) or []
+        base, numbers = self._matrix(instancer.GetPrim()), instancer.GetProtoIndicesAttr().Get(NOW) or []
+        placed = instancer.ComputeInstanceTransformsAtTime(NOW, NOW) or []
         prototypes = [self._stage.GetPrimAtPath(path) for path in instancer.GetPrototypesRel().GetTargets()]
         for number, pose in zip(numbers, placed, strict=False):
             root = prototypes[number]
@@ -135,20 +141,20 @@ class _Reader:
             for prim in Usd.PrimRange(root, Usd.TraverseInstanceProxies()):
                 if any(prim.IsA(shape) for shape in SHAPES):
                     local = to_root @ np.array(self._places.GetLocalToWorldTransform(prim)).T
-                    yield self._node(prim, base @ np.array(pose).T @ local)
+                    yield self._node(prim, base @ np.array(pose).T @ local, read_shape(prim))
 
     def _matrix(self, prim: Any) -> Float64:
         """Return a prim's matrix (4, 4) to our world; USD's own act on rows."""
         return np.asarray(self._world @ np.array(self._places.GetLocalToWorldTransform(prim)).T)
 
-    def _light(self, prim: Any) -> FoundLight:
-        return self._lights.read(prim, self._matrix(prim))
-
-    def _node(self, prim: Any, matrix: Float64) -> Node | None:
-        """Read a shape placed by `matrix`, one part for each material on it."""
-        shape = read_shape(prim)
+    def _node(self, prim: Any, matrix: Float64, shape: Shape | None) -> Node | None:
+        """Place a prim's shape by `matrix`, one part for each material on it."""
         if shape is None:
+            self._note(
+                prim.GetPath(), "it holds no triangles, or numbers that contradict", "it is left out", "repair it"
+            )
             return None
+        self._name_what_is_left(prim)
         self._triangles += len(shape.faces)
         check_triangles(self._triangles)
         if abs(np.linalg.det(matrix[:3, :3])) < 1e-18:
@@ -157,39 +163,48 @@ class _Reader:
         normals = None if shape.normals is None else shape.normals @ np.linalg.inv(matrix[:3, :3])
         order = [2, 1, 0] if np.linalg.det(matrix[:3, :3]) < 0 else [0, 1, 2]
         parts, emissions = [], []
-        glow = self._lights.glow(prim) if prim.HasAPI(UsdLux.LightAPI) else None
+        glow = self._lights.glow(prim, matrix) if prim.HasAPI(UsdLux.LightAPI) else None
         for chosen, shader in _bindings(prim, shape.source):
-            surface = self._material(shader, prim, has_uv=bool(shape.uv))
+            surface = self._material(shader, prim, shape)
             given = shape.uv.get(surface.place.layer, next(iter(shape.uv.values()), None))
-            material, colors = surface.material, None
-            if shader is None and shape.colors is not None:
-                colors = shape.colors[chosen][:, order].reshape(-1, 3)
-                material = material.model_copy(update={"base_color": (1.0, 1.0, 1.0)})
+            material, colors = surface.material, shape.colors.get(surface.colors or "")
+            if shader is not None and surface.colors is None and shape.colors.keys() - {"displayColor"}:
+                what = f"vertex colours {', '.join(sorted(shape.colors))}, which its material does not name"
+                self._note(prim.GetPath(), what, "they are left out", "bake them into a picture")
+            if colors is not None:
+                colors = colors[chosen][:, order].reshape(-1, 3)
             corners = points[shape.faces[chosen][:, order]].reshape(-1, 3)
             shading = None if normals is None else normals[chosen][:, order].reshape(-1, 3)
             uv = None if given is None else laid(given[chosen][:, order].reshape(-1, 2), surface.place.affine)
             faces = np.arange(len(corners), dtype=np.int64).reshape(-1, 3)
             parts.append(RawPart(material, corners, faces, shading, uv, colors))
             emissions.append(glow or surface.emission)
-        return Node(prim.GetName(), tuple(parts), tuple(emissions))
+        return Node(title_of(prim), tuple(parts), tuple(emissions))
 
-    def _material(self, shader: Any, prim: Any, *, has_uv: bool) -> Surface:
+    def _name_what_is_left(self, prim: Any) -> None:
+        if prim.HasAPI(UsdSkel.BindingAPI):
+            self._note(prim.GetPath(), "a skin", "it stands as it was bound", "bake the pose")
+        scheme = UsdGeom.Mesh(prim).GetSubdivisionSchemeAttr() if prim.IsA(UsdGeom.Mesh) else None
+        if scheme is not None and scheme.HasAuthoredValue() and scheme.Get() != UsdGeom.Tokens.none:
+            self._note(prim.GetPath(), "a subdivision surface", "its cage is shown", "subdivide it before exporting")
+
+    def _material(self, shader: Any, prim: Any, shape: Shape) -> Surface:
         """Translate a surface; without one, the shape's display colour."""
         if shader is not None:
-            return read_material(self._path, shader, self._kept, has_uv=has_uv)
-        colour = UsdGeom.Gprim(prim).GetDisplayColorAttr().Get()
+            return read_material(self._path, shader, self._kept, has_uv=bool(shape.uv), tell=self._note)
         bound = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
         if bound:
             remedy = "give it a UsdPreviewSurface"
             self._note(bound.GetPath(), "its shader is none that is read", "a plain surface is shown", remedy)
-        plain = Material(base_color=rgb_of(colour[0]) if colour else (0.18, 0.18, 0.18))
-        return Surface(plain, None, Place())
+        plain = Material(base_color=(1.0, 1.0, 1.0) if "displayColor" in shape.colors else (0.18, 0.18, 0.18))
+        return Surface(plain, None, Place(), "displayColor")
 
     def _kept(self, picture: Picture, mode: str) -> Texture:
         return self._keep(picture.image.convert(mode))
 
-    def _keep_map(self, file: Any, prim: Any) -> tuple[str | None, Rgb]:
+    def _keep_map(self, file: Any, prim: Any, axes: Float64 | None) -> tuple[str | None, Rgb]:
         image = read_map(self._path, file, prim.GetPath())
+        image = image if axes is None else upright(image, axes)
         if float(np.ptp(image, axis=(0, 1)).max()) == 0:
             return None, rgb_of(image[0, 0])
         return keep_map(image, f"{self._path}: its sky {file.path!r}", self._folder), (1.0, 1.0, 1.0)
@@ -209,5 +224,5 @@ def _bindings(prim: Any, source: Int64) -> Iterator[tuple[Mask, Any]]:
 
 def _is_shown(prim: Any) -> bool:
     imageable = UsdGeom.Imageable(prim)
-    shown = imageable.ComputeVisibility() != UsdGeom.Tokens.invisible
+    shown = imageable.ComputeVisibility(NOW) != UsdGeom.Tokens.invisible
     return shown and imageable.ComputePurpose() in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
