@@ -9,7 +9,7 @@ from importlib.metadata import version
 from inspect import cleandoc
 from typing import Any
 
-from multilight.datagen.commands import export, import_scene, inspect, installed, make, pack, query
+from multilight.datagen.commands import export, import_scene, inspect, installed, make, pack, plan, query
 from multilight.datagen.commands.arguments import UsageError, parsed
 from multilight.datagen.commands.terminal import (
     PIPE_BROKEN,
@@ -34,7 +34,7 @@ STOPPED, GOES_ON = "stopped", "; the same command goes on where it was"
 CONTINUED = ("dataset", "scene", "import", "pack", "export", "train", "ablate")
 """Commands that go on where they were stopped."""
 GROUPS = {
-    "make": ("dataset", "scene", "import"),
+    "make": ("dataset", "scene", "import", "plan"),
     "look": ("view", "verify", "mix", "sheet", "stats", "query"),
     "share": ("export", "pack"),
     "learn": ("train", "evaluate", "ablate"),
@@ -55,6 +55,7 @@ WIDTH, INDENT = 80, 13
 COMMANDS: dict[str, type] = {
     "dataset": make.Dataset,
     "scene": make.Scene,
+    "plan": plan.Plan,
     "verify": inspect.Verify,
     "view": inspect.View,
     "mix": inspect.Mix,

@@ -24,6 +24,7 @@ from tests.test_documents import blocks, printed_commands
 PAGES = ("tutorial", "making", "dataset", "exports", "training", "model")
 SIZES = {
     "dataset": [*SPHERES, "--views", "4", "--scenes", "3", "--config", "demo.toml"],
+    "plan": [*SPHERES, "--scenes", "3", "--minutes", "0.01"],
     "train": ["--minutes", "0.001"],
     "evaluate": ["--size", "32", "--groups", "1", "--splits", "train"],
     "insert": ["--side", "16"],

@@ -112,7 +112,7 @@ def diagnose() -> Diagnosis:
         processor=_first_match("/proc/cpuinfo", r"model name\s*:\s*(.+)") or os.uname().machine,
         cores=len(os.sched_getaffinity(0)),
         avx512=_first_match("/proc/cpuinfo", r"flags\s*:.*(avx512f)") != "",
-        memory=_memory() / GIB,
+        memory=memory_here() / GIB,
         gpu=gpu,
         libraries=libraries,
         blender=blender,
@@ -167,7 +167,7 @@ def _first_match(file: str, pattern: str) -> str:
     return found[1].strip() if found else ""
 
 
-def _memory() -> int:
+def memory_here() -> int:
     """Return the bytes that this process may use: the machine's, or its container's limit."""
     limit = _first_match("/sys/fs/cgroup/memory.max", r"^(\d+)$")
     installed = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")

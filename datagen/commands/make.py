@@ -27,11 +27,9 @@ def config_key(key: str) -> Any:
 
 
 @dataclass(kw_only=True)
-class _Options:
-    """What `dataset` and `scene` share; what is not given comes from the configuration file, else the default."""
+class Settings:
+    """What `dataset`, `scene` and `plan` share; what is not given is as the configuration file says, else the default."""
 
-    out: Path
-    """Folder of the dataset; made where it is missing, continued where it is there."""
     preset: Preset | None = None
     """Named starting point; `multilight config show PRESET` prints it. What else is given goes over it."""
     config: Path | None = None
@@ -56,14 +54,26 @@ class _Options:
         """The user's own folders."""
         return (*self.assets, *self.only_assets)
 
-    def configuration(self, **more: object) -> DatasetConfig:
-        """Return what to make: what is given, over the dataset's own settings where it is there, else the defaults."""
-        from multilight.datagen.production.dataset import settings_of
-
+    def configuration(self, made: dict[str, Any], **more: object) -> DatasetConfig:
+        """Return what to make: what is given, over what a dataset was `made` with, else the defaults."""
         options = {key: value for key, value in vars(self).items() if key in DatasetConfig.model_fields} | more
         options["keep_raw"] = self.keep_raw or None
         options["only_assets"] = True if self.only_assets else None
-        return load_config(self.config, options, self.preset, settings_of(self.out))
+        return load_config(self.config, options, self.preset, made)
+
+
+@dataclass(kw_only=True)
+class _Options(Settings):
+    """What `dataset` and `scene` share besides."""
+
+    out: Path
+    """Folder of the dataset; made where it is missing, continued where it is there."""
+
+    def continued(self, **more: object) -> DatasetConfig:
+        """Return what to make: what is given, over the dataset's own settings where it is there, else the defaults."""
+        from multilight.datagen.production.dataset import settings_of
+
+        return self.configuration(settings_of(self.out), **more)
 
 
 @dataclass(kw_only=True)
@@ -81,7 +91,7 @@ class Dataset(_Options):
 
     def run(self) -> int:
         """Make what is missing and return the exit code."""
-        config = self.configuration()
+        config = self.continued()
         indices = tuple(range(config.scenes))
         return make_scenes(self.out, config, indices, workers=self.workers, assets=self.folders, repair=self.repair)
 
@@ -97,7 +107,7 @@ class Scene(_Options):
         """Make the scene and return the exit code."""
         if self.index < 0:
             raise UserError(f"--index {self.index} must be 0 or more")
-        config = self.configuration(scenes=self.index + 1)
+        config = self.continued(scenes=self.index + 1)
         return make_scenes(self.out, config, (self.index,), workers=1, assets=self.folders)
 
 

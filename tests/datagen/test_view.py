@@ -286,7 +286,9 @@ def test_the_address_holds_the_state(browser: Any, address: str, spheres_dataset
         assert page.state()["view"] == shown["view"]  # what means nothing changes nothing
 
 
-def test_a_saved_condition_makes_the_same_picture(browser: Any, address: str, spheres_dataset: Path, tmp_path: Path) -> None:
+def test_a_saved_condition_makes_the_same_picture(
+    browser: Any, address: str, spheres_dataset: Path, tmp_path: Path
+) -> None:
     record = open_dataset(spheres_dataset).scene(0)
     state, _ = random_state(np.random.default_rng(5), record)
     with mixer(browser, address) as page:
@@ -303,7 +305,9 @@ def test_a_saved_condition_makes_the_same_picture(browser: Any, address: str, sp
         assert np.abs(page.picture("target") - made).max() <= 2
 
 
-def test_meter_and_kelvin_are_those_of_python(browser: Any, address: str, sphere_view: tuple[SceneRecord, ViewData]) -> None:
+def test_meter_and_kelvin_are_those_of_python(
+    browser: Any, address: str, sphere_view: tuple[SceneRecord, ViewData]
+) -> None:
     record, view = sphere_view
     name = record.rig.names[0]
     with mixer(browser, address) as page:
@@ -354,7 +358,9 @@ def test_what_is_broken_is_told(browser: Any, spheres_copy: Path) -> None:
         assert page.page.locator(".alarm").is_hidden()
 
 
-def test_the_page_as_files(browser: Any, spheres_dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_page_as_files(
+    browser: Any, spheres_dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     export = ["export", "web", str(spheres_dataset), "--out", str(tmp_path / "site"), "--scenes", "1"]
     assert main(export) == 0
     written = {path: path.stat().st_mtime_ns for path in (tmp_path / "site").rglob("*.gz")}
@@ -372,7 +378,9 @@ def test_the_page_as_files(browser: Any, spheres_dataset: Path, tmp_path: Path, 
 @needs_npm
 @pytest.mark.parametrize("scheme", ["dark", "light"])
 def test_nothing_stands_in_the_way_of_access(browser: Any, address: str, scheme: str) -> None:
-    code = AXE.read_text() + "\naxe.run().then(found => found.violations.map(each => `${each.id}: ${each.nodes[0].html}`))"
+    code = (
+        AXE.read_text() + "\naxe.run().then(found => found.violations.map(each => `${each.id}: ${each.nodes[0].html}`))"
+    )
     for size in ((1440, 900), (390, 844)):
         view = {"width": size[0], "height": size[1]}
         with mixer(browser, address, viewport=view, color_scheme=scheme, reduced_motion="reduce") as page:
@@ -419,7 +427,9 @@ def test_the_server_answers_for_its_dataset_only(address: str) -> None:
     assert "default-src 'none'" in str(ask(address, "/").getheader("Content-Security-Policy"))
 
 
-def test_view_says_what_is_wrong(spheres_dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], address: str) -> None:
+def test_view_says_what_is_wrong(
+    spheres_dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], address: str
+) -> None:
     port = address.rstrip("/").rpartition(":")[2]
     for words, told in {
         (str(tmp_path),): "dataset.json is missing",
