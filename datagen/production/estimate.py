@@ -23,6 +23,7 @@ from multilight.datagen.production.library import check_library
 from multilight.datagen.production.worker import WorkerSetup, run_scene
 from multilight.datagen.report import Report
 from multilight.datagen.storage.store import scene_dir
+from multilight.scenes.errors import MultilightError
 from multilight.scenes.streams import Streams
 
 LEAST = 6
@@ -100,7 +101,7 @@ def estimate(
                 for future in done:
                     try:
                         found.append(future.result())
-                    except UserError as error:  # a scene that fails its checks costs as well, but little
+                    except MultilightError as error:  # a scene that fails its checks costs as well, but little
                         failed = str(error)
                 report(min(time.monotonic() - begun, seconds), seconds, f"making scenes to measure ({len(found)} made)")
     if not found:
