@@ -20,7 +20,7 @@ BAKED = "baked"
 class Shape:
     """A mesh as corners of triangles in the object's own space, and what it takes to bake on it.
 
-    points (3T, 3) and normals (3T, 3) or None, `uv` (3T, 2) by layer, `colors` (3T, 3) linear by attribute, `slots`
+    points (3T, 3) and normals (3T, 3) or None, `uv` (3T, 2) by layer, `colors` (3T, 4) linear by attribute, `slots`
     (T,) number into `materials`.
     """
 
@@ -52,8 +52,8 @@ def bake(shape: Shape, slot: int, socket: Any, groups: Groups, *, colour: bool) 
         layer.uv.foreach_set("vector", values[corners].astype(np.float32).ravel())
         layer.active_render = name == shape.active
     for name, values in shape.colors.items():
-        rgba = np.concatenate([values[corners], np.ones((len(corners), 1))], axis=1).astype(np.float32)
-        made.color_attributes.new(name, "FLOAT_COLOR", "CORNER").data.foreach_set("color", rgba.ravel())
+        layer = made.color_attributes.new(name, "FLOAT_COLOR", "CORNER")
+        layer.data.foreach_set("color", values[corners].astype(np.float32).ravel())
     made.use_auto_texspace = False
     made.texspace_location, made.texspace_size = shape.texspace
     placed = bpy.data.objects.new(BAKED, made)

@@ -78,13 +78,14 @@ def _read(path: Path, folder: Path, work: Path) -> tuple[Imported, list[Path]]:
         from multilight.scenes.assets.formats.usd import read_usd
 
         return read_usd(path, lambda image: keep_picture(image, work), work)
-    files, notes, generator = check_model(path, folder)
+    claims = check_model(path, folder)
     from multilight.datagen.backends.blender.files import read_file
 
-    found, more = read_file(path, folder, lambda image: keep_picture(image, work), work, generator)
+    found, more = read_file(path, folder, lambda image: keep_picture(image, work), work, claims.generator)
     if not found.nodes and suffix in (".glb", ".gltf") and b"KHR_draco_mesh_compression" in path.read_bytes():
         raise AssetError(f"{path}: its Draco compression cannot be decoded; export it without")
-    return Imported(found.nodes, found.lights, (*notes, *found.notes)), sorted({*files, *more})
+    notes = (*claims.notes, *found.notes)
+    return Imported(found.nodes, found.lights, notes, claims.credits), sorted({*claims.files, *more})
 
 
 def _sky(path: Path, work: Path) -> Imported:

@@ -15,9 +15,10 @@ from multilight.datagen.backends.blender.bake import Shape, bake
 from multilight.datagen.backends.blender.surfaces import Finished, ShaderReader, tidy
 from multilight.datagen.backends.blender.worlds import read_world
 from multilight.scenes.arrays import Float64, Int64
-from multilight.scenes.assets.formats.claims import check_triangles, files_behind, other_case
-from multilight.scenes.assets.formats.cleaning import RawPart
+from multilight.scenes.assets.formats.claims import check_triangles
+from multilight.scenes.assets.formats.cleaning import RawPart, tinted
 from multilight.scenes.assets.formats.coordinates import laid
+from multilight.scenes.assets.formats.obj import staged
 from multilight.scenes.assets.formats.scene_file import (
     EMISSION_NITS,
     Emission,
@@ -71,10 +72,11 @@ class _Reader:
 
     def __init__(self, path: Path, folder: Path, keep: KeepImage, work: Path, said: str) -> None:
         self._path, self._folder, self._work, self._keep = path, folder, work, keep
-        self._suffix, self._stage = path.suffix.lower(), work / "stage"
-        # Blender writes its own watts into glTF, times a constant for lights.
-        stated = {"Kd": "Base Color", "Pr": "Roughness", "Pm": "Metallic"} if self._suffix == ".obj" else {}
+        self._suffix = path.suffix.lower()
+        stated = {"Kd": "Base Color", "Pr": "Roughness", "Pm": "Metallic", "map_d": "Alpha"}
+        stated = stated if self._suffix == ".obj" else {}
         self._times_plain = {name for key, name in stated.items() if key in said.split()}
+        # Blender writes its own watts into glTF, times a constant for lights.
         self._watts = self._suffix == ".blend" or "Blender" in said
         self._notes: list[Note] = []
         self._used: set[Path] = set()
@@ -84,6 +86,8 @@ class _Reader:
         self._load()
         self._check_libraries()
         scene = bpy.context.scene
+        units = scene.unit_settings
+        self._metres = units.scale_length if self._suffix == ".blend" and units.system != "NONE" else 1.0
         gltf = self._suffix in (".glb", ".gltf")
         self._shaders = ShaderReader(self._keep, self._path_of, self._notes, self._times_plain, gltf=gltf)
         _show_what_is_rendered(scene)
@@ -123,33 +127,18 @@ class _Reader:
                 bpy.ops.wm.open_mainfile(filepath=str(self._path), load_ui=False, use_scripts=False)
             else:
                 module, name, options = IMPORTERS[self._suffix]
-                getattr(getattr(bpy.ops, module), name)(filepath=str(self._staged()), **options)
+                path = staged(self._path, self._folder, self._work / "obj") if self._suffix == ".obj" else self._path
+                getattr(getattr(bpy.ops, module), name)(filepath=str(path), **options)
         except RuntimeError as error:
             said = [line.strip() for line in str(error).splitlines() if line.strip()] or ["no reason given"]
             reason = said[-1].removeprefix("Error: ")
             raise AssetError(f"{self._path} cannot be read ({reason}); export it again") from None
 
-    def _staged(self) -> Path:
-        """Return the file; an OBJ whose MTL has a name of other case, beside links of the right names."""
-        if self._suffix != ".obj":
-            return self._path
-        named = files_behind("mtllib", self._path, self._path, self._folder)
-        other = {file.name: other_case(file) for file in named if not file.exists() and other_case(file).exists()}
-        if not other:
-            return self._path
-        self._stage.mkdir()
-        for name, file in ({child.name: child for child in self._path.parent.iterdir()} | other).items():
-            (self._stage / name).symlink_to(file.resolve())
-        return self._stage / self._path.name
-
-    def _unstaged(self, path: Path) -> Path:
-        return self._path.parent / path.relative_to(self._stage) if path.is_relative_to(self._stage) else path
-
     def _check_libraries(self) -> None:
         """Refuse what lies outside of the folder, pictures, caches or libraries, and libraries that are missing."""
         for name in bpy.utils.blend_paths(absolute=True):
             if Path(name).exists():
-                self._confined(self._unstaged(Path(os.path.abspath(name))))
+                self._confined(Path(os.path.abspath(name)))
         for library in bpy.data.libraries:
             path = Path(os.path.abspath(bpy.path.abspath(library.filepath)))
             self._confined(path)
@@ -171,7 +160,6 @@ class _Reader:
     def _path_of(self, image: Any) -> Path:
         """Find a picture: where the file says, in other case, or of the same name near by."""
         named = Path(os.path.abspath(bpy.path.abspath(image.filepath.replace("\\", "/"), library=image.library)))
-        named = self._unstaged(named)
         self._used.add(named)
         if named.is_file():
             self._confined(named)
@@ -223,13 +211,13 @@ class _Reader:
         for layer in mesh.uv_layers:
             shape.uv[layer.name] = _read(layer.uv, "vector", 2 * len(mesh.loops), np.float32).reshape(-1, 2)[loops]
         for found in mesh.color_attributes:
-            values = _read(found.data, "color", 4 * len(found.data), np.float32).reshape(-1, 4)[:, :3].astype(float)
+            values = _read(found.data, "color", 4 * len(found.data), np.float32).reshape(-1, 4).astype(float)
             shape.colors[found.name] = values[loops if found.domain == "CORNER" else vertex]
         return shape
 
     def _node(self, shape: Shape) -> Node:
         """Place a shape in the world, one part for each material on it."""
-        points = apply_pose(shape.matrix, shape.points)
+        points = apply_pose(shape.matrix, shape.points) * self._metres
         normals = None if shape.normals is None else shape.normals @ np.linalg.inv(shape.matrix[:3, :3])
         mirrored = np.linalg.det(shape.matrix[:3, :3]) < 0
         parts, emissions = [], []
@@ -240,9 +228,8 @@ class _Reader:
             uv = None if given is None else laid(given[at].astype(np.float64), finished.place.affine)
             colors = self._colors(shape, finished, at)
             material = finished.material
-            if colors is not None and float(np.ptp(colors, axis=0).max()) < 1e-6:
-                tinted = np.array(material.base_color) * np.clip(colors[0], 0, 1)
-                material, colors = material.model_copy(update={"base_color": tuple(tinted.tolist())}), None
+            if colors is not None:
+                material, colors = tinted(material, colors)
             faces = np.arange(len(at), dtype=np.int64).reshape(-1, 3)
             parts.append(RawPart(material, points[at], faces, None if normals is None else normals[at], uv, colors))
             emissions.append(self._emission(finished))
@@ -251,7 +238,8 @@ class _Reader:
     def _finished(self, shape: Shape, slot: int) -> Finished:
         material = shape.materials[slot] if slot < len(shape.materials) else None
         if material is None:
-            return Finished(Material(name="material"))
+            plain = (1.0, 1.0, 1.0) if self._suffix in COLOURED and shape.colors else (0.8, 0.8, 0.8)
+            return Finished(Material(name="material", base_color=plain))
         try:
             return self._shaders.read(material, partial(bake, shape, slot), shape.active)
         except AssetError as error:
@@ -263,14 +251,14 @@ class _Reader:
             return None
         named = shape.colors.get(finished.colors or "")
         found = next(iter(shape.colors.values()), None) if named is None else named
-        return None if found is None else found[at]
+        return None if found is None else found[at, :3]
 
     def _emission(self, finished: Finished) -> Emission | None:
         """Return what a part gives off: Blender's strengths are W/(m² sr); other files', cd/m² where they say."""
         if max(finished.emission) <= 0:
             return None
-        # Other files say how strong it is above 1; at 1 and below they say the colour alone.
-        unit = 1.0 if max(finished.emission) > 1 else EMISSION_NITS
+        # glTF says how strong it is above 1; at 1 and below it says the colour alone, as other files do.
+        unit = 1.0 if max(finished.emission) > 1 and self._suffix in (".glb", ".gltf") else EMISSION_NITS
         unit = LUMINOUS_EFFICACY if self._watts else unit
         return Emission(amount=rgb_of(finished.emission, unit), texture=finished.emission_texture)
 
@@ -283,6 +271,7 @@ class _Reader:
                 remedy="give it a scale of 1",
             ))  # fmt: skip
             return
+        place *= self._metres
         pose = np.array(Matrix.Translation(place) @ turn.to_matrix().to_4x4())
         if not np.isfinite(pose).all() or light.type == "POINT":
             pose = np.array(Matrix.Translation(place))
@@ -297,9 +286,11 @@ class _Reader:
             case "POINT" | "SPOT":
                 about |= {
                     "unit": "cd" if gltf else "W/sr",
-                    "radius": light.shadow_soft_size if self._suffix == ".blend" else 0.0,
+                    "radius": light.shadow_soft_size * self._metres if self._suffix == ".blend" else 0.0,
                 }
-                amount = rgb_of(colour, power * WATTS_TO_INTENSITY * efficacy)
+                amount = rgb_of(
+                    colour, power * WATTS_TO_INTENSITY * efficacy * self._metres**2
+                )  # as bright in a distance
                 if light.type == "POINT":
                     yield FoundLight(kind="point", amount=amount, **about)
                 else:
@@ -316,9 +307,9 @@ class _Reader:
             case _:
                 round_one = light.shape in ("DISK", "ELLIPSE")
                 height = light.size_y if light.shape in ("RECTANGLE", "ELLIPSE") else light.size
-                size = light.size * stretch.x, height * stretch.y
+                size = light.size * stretch.x * self._metres, height * stretch.y * self._metres
                 area = size[0] * size[1] * (math.pi / 4 if round_one else 1.0)
-                amount = rgb_of(colour, power / (math.pi * max(area, 1e-9)))
+                amount = rgb_of(colour, power * self._metres**2 / (math.pi * max(area, 1e-9)))
                 yield FoundLight(
                     kind="area", unit="W/(m2 sr)", amount=amount, width=size[0], height=size[1], ellipse=round_one,
                     **about,

@@ -196,8 +196,11 @@ class ShaderReader:
             replace(feed, factor=triple(node.inputs[name].default_value)) if name in self._times_plain else feed
             for feed, name in ((base, "Base Color"), (rough, "Roughness"), (metal, "Metallic"))
         )
+        alpha = self._feed(node, "Alpha", groups)
+        if "Alpha" in self._times_plain and alpha.image is not None and "A" not in self._picture(alpha.image)[0].mode:
+            alpha = replace(alpha, channel="RGB")  # an MTL file's mask, of which importers take the alpha
         surface = Surface(
-            base, rough, metal, self._feed(node, "Alpha", groups), glow,
+            base, rough, metal, alpha, glow,
             plain={
                 "ior": ior, "transmission": transmission, "coat": self._number(node, "Coat Weight", groups),
                 "coat_roughness": self._number(node, "Coat Roughness", groups),

@@ -1,19 +1,18 @@
-"""What model files (GLB, glTF, OBJ) claim to hold, held against what is in them and what is read.
+"""What GLB and glTF files claim to hold, held against what is in them and what is read.
 
 Importers believe a file's counts, follow every placing of a node, and leave out in silence what they do not know.
 """
 
 import base64
 import io
-import re
 import struct
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 from urllib.parse import unquote
 
-from PIL import UnidentifiedImageError
-
+from multilight.scenes.assets.formats.obj import check_obj, check_picture
 from multilight.scenes.assets.formats.scene_file import Note
 from multilight.scenes.assets.info import AssetError, unreadable
 from multilight.scenes.files.inside import OutsideError, inside
@@ -25,7 +24,6 @@ from multilight.scenes.files.limits import (
     MOST_TRIANGLES,
     LimitError,
     check_size,
-    open_picture,
     parse_json,
     read_bytes,
 )
@@ -49,26 +47,43 @@ LEFT_OUT = {
     "KHR_materials_volume": "what it encloses is clear",
 }  # fmt: skip
 """Extensions that a file may require, and what happens instead."""
+CREDITS = ("author", "copyright", "license", "source", "title")
+"""What a file's asset says of itself, or its extras, as Sketchfab writes them."""
 Header = dict[str, Any]
 
 
-def check_model(path: Path, folder: Path) -> tuple[set[Path], list[Note], str]:
+@dataclass
+class Claims:
+    """What a file says: the files that it names, what of it is not read, what wrote it, and whom to credit.
+
+    `generator` is of OBJ its MTL's key words; `credits` has author, copyright, license, source and title, where stated.
+    """
+
+    files: set[Path] = field(default_factory=set)
+    notes: list[Note] = field(default_factory=list)
+    generator: str = ""
+    credits: dict[str, str] = field(default_factory=dict)
+
+
+def check_model(path: Path, folder: Path) -> Claims:
     """Check a GLB, glTF or OBJ file, and what it names inside `folder`, before it is loaded.
 
-    Returns the files that it names, what of it is not read, and what wrote it (of OBJ: its MTL's key words). Raises
-    `AssetError` in one line with the file, what is too much in it or wrong, and the remedy.
+    Raises `AssetError` in one line with the file, what is too much in it or wrong, and the remedy.
     """
-    files, notes, generator = set[Path](), list[Note](), ""
+    claims = Claims()
     try:
         if path.suffix.lower() == ".obj":
-            generator = _check_obj(path, folder, files, notes)
+            claims.generator = check_obj(path, folder, claims.files, claims.notes)
         elif path.suffix.lower() in (".glb", ".gltf"):
             header, within = read_header(path)
-            generator = str(header.get("asset", {}).get("generator", ""))
-            _check_extensions(header, notes)
+            about = header.get("asset", {})
+            claims.generator = str(about.get("generator", ""))
+            stated = about | (about["extras"] if isinstance(about.get("extras"), dict) else {})
+            claims.credits = {key: str(stated[key])[:200] for key in CREDITS if isinstance(stated.get(key), str)}
+            _check_extensions(header, claims.notes)
             _check_counts(header)
             _check_tree(header)
-            _check_pictures(path, folder, header, within, files)
+            _check_pictures(path, folder, header, within, claims.files)
     except AssetError:
         raise
     except OutsideError as error:
@@ -79,7 +94,7 @@ def check_model(path: Path, folder: Path) -> tuple[set[Path], list[Note], str]:
         raise AssetError(f"{path}: {error}") from error
     except Exception as error:  # whatever a broken header makes the above stumble over
         raise unreadable(path, error) from error
-    return files, notes, generator
+    return claims
 
 
 def check_triangles(count: int) -> None:
@@ -180,6 +195,12 @@ def _check_pictures(path: Path, folder: Path, header: Header, within: bytes, fil
         if not str(entry.get("uri", "data:")).startswith("data:"):
             files.add(inside(folder, unquote(entry["uri"]), beside=path.parent))
     content = cache(lambda uri: within if uri is None else _content(path, folder, uri))
+    for number, texture in enumerate(header.get("textures", [])):
+        other = texture.get("extensions", {}).keys() - READ
+        if "source" not in texture and other:
+            raise LimitError(
+                f"its texture {number} needs {', '.join(sorted(other))}, which is not read; save it as PNG"
+            )
     for number in sorted({texture["source"] for texture in header.get("textures", []) if "source" in texture}):
         image = images[number]
         if "uri" in image:
@@ -193,7 +214,7 @@ def _check_pictures(path: Path, folder: Path, header: Header, within: bytes, fil
             view = header["bufferViews"][image["bufferView"]]
             start = int(view.get("byteOffset", 0))
             data = content(header["buffers"][view["buffer"]].get("uri"))[start : start + int(view["byteLength"])]
-        _check_picture(path, io.BytesIO(data), image.get("name") or image.get("uri", "")[:80] or f"number {number}")
+        check_picture(path, io.BytesIO(data), image.get("name") or image.get("uri", "")[:80] or f"number {number}")
 
 
 def _content(path: Path, folder: Path, uri: str) -> bytes:
@@ -203,58 +224,3 @@ def _content(path: Path, folder: Path, uri: str) -> bytes:
     if not file.exists():
         raise AssetError(f"{path} names {uri!r}, which is missing; put it beside the file, or export as GLB")
     return read_bytes(file)
-
-
-def _check_picture(path: Path, picture: Path | BinaryIO, name: str) -> None:
-    try:
-        open_picture(picture).close()
-    except (OSError, ValueError) as error:
-        reason = "it is no picture, or cut short" if isinstance(error, UnidentifiedImageError) else error
-        raise AssetError(f"{path}: its texture {name!r} cannot be read ({reason}); save it as PNG") from error
-
-
-def _check_obj(path: Path, folder: Path, files: set[Path], notes: list[Note]) -> str:
-    """Refuse pictures of an OBJ file's materials that cannot be opened, or lie elsewhere; name a missing library.
-
-    Returns the key words of its materials.
-    """
-    words = set[bytes]()
-    for named in files_behind("mtllib", path, path, folder):
-        library = other_case(named)
-        if not library.exists() and path.with_suffix(".mtl").exists():
-            library = path.with_suffix(".mtl")  # as importers do
-        files |= {named, library}
-        if library.name != named.name:
-            what, instead = "it is not there", f"{library.name} is taken"
-            notes.append(Note(place=named.name, feature=what, instead=instead, remedy="name it in the OBJ file"))
-        elif not library.exists():
-            what = "its materials are plain and matte"
-            notes.append(Note(place=named.name, feature="it is missing", instead=what, remedy="put it beside it"))
-            continue
-        words |= set(re.findall(rb"^[ \t]*(\w+)", read_bytes(library, MOST_JSON), re.MULTILINE))
-        for picture in files_behind("(?:map_|norm|bump|disp|refl)[a-z]*", library, path, folder):
-            files.add(picture)
-            if picture.exists():
-                _check_picture(path, picture, picture.name)
-    return b" ".join(sorted(words)).decode("ascii", "replace")
-
-
-def other_case(file: Path) -> Path:
-    """Return a file as it is, or the one beside it whose name differs in case alone."""
-    if file.exists() or not file.parent.is_dir():
-        return file
-    same = (other for other in sorted(file.parent.iterdir()) if other.name.casefold() == file.name.casefold())
-    return next(same, file)
-
-
-_OPTIONS = re.compile(r"^(?:-(?:blendu|blendv|boost|cc|clamp|imfchan|texres|type|bm)\s+\S+\s+|-mm\s+\S+\s+\S+\s+|"
-                      r"-[ost]\s+[-+.\deE]+\s+(?:[-+.\deE]+\s+){0,2})+")  # fmt: skip
-"""What may stand before the name of a picture in an MTL file."""
-
-
-def files_behind(key: str, text: Path, path: Path, folder: Path) -> list[Path]:
-    """Return the files behind a key word; MTL files of other systems have backslashes."""
-    found = re.findall(rf"^[ \t]*{key}[ \t]+(.*\S)".encode(), read_bytes(text, MOST_JSON), re.MULTILINE | re.IGNORECASE)
-    names = {_OPTIONS.sub("", name.decode("utf-8", "surrogateescape")).replace("\\", "/") for name in found}
-    drive = re.compile("^[A-Za-z]:/")  # of the machine that it was made on: looked for near by
-    return [inside(folder, name, beside=path.parent) for name in sorted(names) if not drive.match(name)]

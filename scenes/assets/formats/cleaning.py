@@ -34,6 +34,14 @@ class RawPart:
     colors: Float64 | None = None
 
 
+def tinted(material: Material, colors: Float64) -> tuple[Material, Float64 | None]:
+    """Let vertex colours (N, 3) that are the same everywhere be the base colour's."""
+    if float(np.ptp(colors, axis=0).max()) >= 1e-6:
+        return material, colors
+    base = np.array(material.base_color) * np.clip(colors[0], 0, 1)
+    return material.model_copy(update={"base_color": tuple(base.tolist())}), None
+
+
 def transformed(parts: list[RawPart], matrix: Float64) -> list[RawPart]:
     """Apply a 3x3 matrix (rotation and scale) to vertices, and its inverse transpose to normals."""
     inverse = np.linalg.inv(matrix)

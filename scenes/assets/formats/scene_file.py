@@ -5,7 +5,7 @@ Textures are named `texture-<digest>`, maps of skies `sky-<digest>`, by what the
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -85,11 +85,12 @@ class Note(Frozen):
 
 @dataclass(frozen=True)
 class Imported:
-    """All that was read of a file."""
+    """All that was read of a file; `credits` has author, copyright, license, source and title, where it states them."""
 
     nodes: tuple[Node, ...]
     lights: tuple[FoundLight, ...] = ()
     notes: tuple[Note, ...] = ()
+    credits: dict[str, str] = field(default_factory=dict)
 
 
 class _Part(Frozen):
@@ -114,6 +115,7 @@ class Record(Frozen):
     nodes: tuple[_Node, ...] = ()
     lights: tuple[FoundLight, ...] = ()
     notes: tuple[Note, ...] = ()
+    credits: dict[str, str] = Field(default_factory=dict)
 
 
 RECORD, ARRAYS = "record.json", "arrays.npz"
@@ -139,7 +141,7 @@ def save_import(found: Imported, files: dict[str, str | None], folder: Path) -> 
         )
         for node in found.nodes
     )
-    record = Record(files=files, nodes=tuple(nodes), lights=found.lights, notes=found.notes)
+    record = Record(files=files, nodes=tuple(nodes), lights=found.lights, notes=found.notes, credits=found.credits)
     (folder / RECORD).write_text(record.canonical_json(), encoding="utf-8")
 
 
@@ -156,7 +158,7 @@ def load_import(folder: Path, record: Record) -> Imported:
                 faces = found["faces"].astype(np.int64)
                 parts.append(RawPart(**({"normals": None, "uv": None} | real), material=part.material, faces=faces))
             nodes.append(Node(node.name, tuple(parts), tuple(part.emission for part in node.parts)))
-    return Imported(tuple(nodes), record.lights, record.notes)
+    return Imported(tuple(nodes), record.lights, record.notes, record.credits)
 
 
 def image_digest(image: Image.Image) -> str:

@@ -21,6 +21,7 @@ from multilight.scenes.assets.formats.intake import SUFFIXES, Intake
 from multilight.scenes.assets.formats.mtl import part_name
 from multilight.scenes.assets.formats.scene_file import FoundLight, Imported, Node, Note
 from multilight.scenes.assets.info import AssetError, AssetInfo
+from multilight.scenes.assets.packs import guesses
 from multilight.scenes.assets.packs.folder import own_textures
 from multilight.scenes.assets.packs.pack import Pack
 from multilight.scenes.frozen import Frozen, Matrix4, Slug
@@ -120,6 +121,8 @@ class BackgroundPack(Pack):
 
     def infos(self) -> list[AssetInfo]:
         """List the bodies; converts the file on the first call."""
+        licence, creator = guesses.credited(self._intake.record(self._file, self._file.parent).credits)
+        licence, creator = licence or "unknown", creator or self._file.name
         return [
             AssetInfo(
                 id=f"{PACK}/{piece.name}",
@@ -127,13 +130,13 @@ class BackgroundPack(Pack):
                 role="surrounding",
                 name=piece.title,
                 category="background",
-                licence="unknown",
-                creator=self._file.name,
+                licence=licence,
+                creator=creator,
                 size=piece.size,
             )
             for piece in self.pieces
         ] + [
-            AssetInfo(f"{PACK}/{light.map}", PACK, "environment", light.name, "background", "unknown", self._file.name)
+            AssetInfo(f"{PACK}/{light.map}", PACK, "environment", light.name, "background", licence, creator)
             for light in self.lights
             if light.map is not None
         ]

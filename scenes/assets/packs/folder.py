@@ -32,6 +32,7 @@ _SIZE = TypeAdapter(tuple[float, float, float])
 COLUMNS = ("file", "id", "role", "category", "licence", "metres_per_unit", "up_axis")
 Z_UP = (".ply", ".stl", ".blend", ".usd", ".usda", ".usdc", ".usdz")
 """Formats that are Z-up, or say themselves what is up; the others are Y-up."""
+UNITLESS = (".obj", ".ply", ".stl")
 _PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".tga")
 ROLES = ("object", "table", "surrounding")
 
@@ -113,7 +114,9 @@ class FolderPack(Pack):
         ]
 
     def _info(self, entry: _Entry) -> AssetInfo:
-        words = f"{entry.name} {'/'.join(entry.file.relative_to(self._folder).parts[:-1])}"
+        said = self._intake.record(entry.file, entry.home).credits if entry.file.is_file() else {}
+        words = f"{entry.name} {'/'.join(entry.file.relative_to(self._folder).parts[:-1])} {said.get('title', '')}"
+        licence, creator = guesses.credited(said)
         category, size, role = entry.category or guesses.category_of(words), None, entry.role
         place = None
         if entry.file.suffix.lower() in SKIES:
@@ -131,8 +134,8 @@ class FolderPack(Pack):
             role=_role(role),
             name=entry.name,
             category=category or role or "object",
-            licence=entry.licence or guesses.licence_beside(entry.file, self._folder) or "unknown",
-            creator=self.name,
+            licence=entry.licence or licence or guesses.licence_beside(entry.file, self._folder) or "unknown",
+            creator=creator or self.name,
             size=size,
             place=place,
             as_made=True,
@@ -168,7 +171,13 @@ class FolderPack(Pack):
 
     def warnings(self, info: AssetInfo) -> Iterator[str]:
         """Say where a model is not of its category's usual size."""
-        usual = guesses.USUAL.get(info.category)
+        usual, largest = guesses.USUAL.get(info.category), max(info.size or (0.0,))
+        suffix = self._entries[info.id.partition("/")[2]].file.suffix.lower()
+        if usual is None and largest > guesses.LARGEST_OBJECT and suffix in UNITLESS:
+            yield (
+                f"is {largest:.4g} m large, where its format knows no unit; if it is in millimetres, set "
+                "metres_per_unit to 0.001 in assets.csv"
+            )
         if usual is not None and info.size is not None and not usual[1] <= max(info.size) <= usual[2]:
             yield (
                 f"is {max(info.size):.4g} m large, a {info.category} is usually {usual[1]:g} to {usual[2]:g}; "

@@ -130,14 +130,24 @@ def kind_of(stem: str) -> tuple[str, str] | None:
     return None
 
 
+def licence_of(text: str) -> str | None:
+    """Return the licence that a text names; None where it names none that is known."""
+    return next((name for name, words in _LICENCES if re.search(words, text, re.IGNORECASE)), None)
+
+
+def credited(credits: dict[str, str]) -> tuple[str | None, str | None]:
+    """Return the licence and the creator that a file states of itself; None each where it does not."""
+    said = " ".join(credits.get(key, "") for key in ("license", "copyright"))
+    return licence_of(said) or credits.get("license"), credits.get("author") or credits.get("copyright")
+
+
 def licence_beside(file: Path, folder: Path) -> str | None:
     """Read the licence in a text beside a file or above it, up to `folder`; None where none is known."""
     for place in (file.parent, *file.parent.parents):
         for text in sorted(place.glob("*")) if place.is_relative_to(folder) else ():
             if re.match(r"(licen[cs]e|copying|attribution|metadata)", text.name, re.IGNORECASE) and text.is_file():
                 said = text.read_bytes()[:20_000].decode("utf-8", "replace")
-                found = next((name for name, words in _LICENCES if re.search(words, said, re.IGNORECASE)), None)
-                if found:
+                if found := licence_of(said):
                     return found
         if place == folder:
             break

@@ -10,7 +10,7 @@ from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdShade, UsdSkel, UsdUtils
 from multilight.scenes.arrays import Float64, Int64, Mask
 from multilight.scenes.assets.environments import keep_map
 from multilight.scenes.assets.formats.claims import check_triangles
-from multilight.scenes.assets.formats.cleaning import Z_UP_FROM_Y_UP, RawPart
+from multilight.scenes.assets.formats.cleaning import Z_UP_FROM_Y_UP, RawPart, tinted
 from multilight.scenes.assets.formats.coordinates import Place, laid
 from multilight.scenes.assets.formats.scene_file import Imported, KeepImage, Node, Note
 from multilight.scenes.assets.formats.usd.lights import KINDS, LightReader, read_map, tube_of, upright
@@ -38,7 +38,11 @@ def open_stage(path: Path) -> Any:
     try:
         check_file(path)
         _check_layers(path)
-        return Usd.Stage.Open(str(path))
+        stage = Usd.Stage.Open(str(path))
+        for error in stage.GetCompositionErrors():
+            said = str(error).replace(f"{path.parent}/", "").replace("@", "'")
+            raise AssetError(f"{path} cannot be composed: {said}; put what is missing there, or flatten the stage")
+        return stage
     except (OSError, LimitError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise AssetError(f"{path} cannot be read: {reason}") from error
@@ -60,7 +64,7 @@ def _check_layers(path: Path) -> None:
         seen.add(name)
         if layer is None:
             continue  # what is missing is told where the stage is composed
-        for asset in layer.GetCompositionAssetDependencies():
+        for asset in filter(None, layer.GetCompositionAssetDependencies()):  # of the stage itself: without a name
             if asset.startswith("`"):
                 raise OutsideError(f"{asset} is worked out only while reading")
             resolved = Ar.GetResolver().Resolve(Sdf.ComputeAssetPathRelativeToLayer(layer, asset))
@@ -172,7 +176,7 @@ class _Reader:
                 what = f"vertex colours {', '.join(sorted(shape.colors))}, which its material does not name"
                 self._note(prim.GetPath(), what, "they are left out", "bake them into a picture")
             if colors is not None:
-                colors = colors[chosen][:, order].reshape(-1, 3)
+                material, colors = tinted(material, colors[chosen][:, order].reshape(-1, 3))
             corners = points[shape.faces[chosen][:, order]].reshape(-1, 3)
             shading = None if normals is None else normals[chosen][:, order].reshape(-1, 3)
             uv = None if given is None else laid(given[chosen][:, order].reshape(-1, 2), surface.place.affine)
