@@ -200,7 +200,10 @@ def _write_scene(
         before = view
         thumbnails.append(thumbnail(view.variants[ALL]))
         brightnesses.append(brightness(record, view))
-    metered = tuple(meter_condition(c, view.lights, thumbnails) for c in record.conditions)
+    seen = [[(b.median[n], b.high[n]) for b in brightnesses] for n in range(len(record.conditions))]
+    metered = tuple(
+        meter_condition(c, view.lights, thumbnails, s) for c, s in zip(record.conditions, seen, strict=True)
+    )
     record = record.model_copy(update={"conditions": metered})
     save_preview(work, record)
     record = record.model_copy(update={"preview_sha256": file_sha256(work / "preview.png")})

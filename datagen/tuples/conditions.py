@@ -12,9 +12,10 @@ from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.store import ViewData
 from multilight.datagen.storage.variants import ALL
 from multilight.datagen.text import did_you_mean
-from multilight.datagen.tuples.exposure import meter_condition, thumbnail
+from multilight.datagen.tuples.exposure import levels, meter_condition, thumbnail
 from multilight.lights.conditions import random_condition
 from multilight.lights.describe import describe
+from multilight.lights.relight import mix
 from multilight.lights.spec import LightingCondition, LightRig
 from multilight.scenes.files.limits import read_text, shown
 from multilight.scenes.frozen import Rgb
@@ -77,7 +78,9 @@ def check_lights(names: Iterable[str], source: str, rig: LightRig) -> None:
 
 def metered(condition: LightingCondition, view: ViewData) -> LightingCondition:
     """Expose a condition as a camera would on a view."""
-    return meter_condition(condition, view.lights, [thumbnail(view.variants[ALL])])
+    layers = view.variants[ALL]
+    seen = levels(mix(layers, view.lights, condition.model_copy(update={"exposure_ev": 0.0})))
+    return meter_condition(condition, view.lights, [thumbnail(layers)], [seen])
 
 
 def save_condition(condition: LightingCondition, path: Path) -> None:

@@ -25,17 +25,27 @@ def thumbnail(layers: Float32, size: int = THUMBNAIL) -> Float32:
     return blocks.mean(axis=(2, 4), dtype=np.float32)
 
 
+def levels(picture: Float32) -> tuple[float, float]:
+    """Return the median and the 95th percentile of a picture's luminance."""
+    median, high = np.percentile(luminance(picture), [50, 95])
+    return float(median), float(high)
+
+
 def meter_condition(
-    condition: LightingCondition, lights: Sequence[str], thumbnails: Sequence[Float32]
+    condition: LightingCondition,
+    lights: Sequence[str],
+    thumbnails: Sequence[Float32],
+    seen: Sequence[tuple[float, float]],
 ) -> LightingCondition:
     """Add the metered exposure over all views to the condition's own exposure offset.
 
     A view that would come out black is brightened, as far as the others allow: a small lamp may light some views only.
+    `seen` are each view's `levels` under the condition at 0 EV, at full size: small lights are lost in thumbnails.
     """
     unexposed = condition.model_copy(update={"exposure_ev": 0.0})
     pictures = [mix(t, lights, unexposed).reshape(-1, 3) for t in thumbnails]
     exposure = condition.exposure_ev + meter_ev(np.concatenate(pictures)[None])
-    medians, highs = np.transpose([np.percentile(luminance(picture), [50, 95]) for picture in pictures]) * 2.0**exposure
+    medians, highs = np.transpose(seen) * 2.0**exposure
     if highs.min() > 0:
         room = np.log2(LIFTED_BRIGHT / max(float(medians.max()), 1e-9))
         exposure += max(0.0, float(min(np.log2(LIFTED_DARK / highs.min()), room)))

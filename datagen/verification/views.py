@@ -16,7 +16,7 @@ from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.store import ViewData, as_stored, file_sha256, read_view
 from multilight.datagen.storage.variants import ALL, variants_of
 from multilight.datagen.tuples import compose
-from multilight.datagen.tuples.exposure import BRIGHT, DARK
+from multilight.datagen.tuples.exposure import BRIGHT, DARK, levels
 from multilight.datagen.verification.residuals import SIDES, residual
 from multilight.lights.spec import LightingCondition
 from multilight.scenes.arrays import Float32
@@ -221,13 +221,12 @@ class Brightness:
 def brightness(record: SceneRecord, view: ViewData) -> Brightness:
     """Measure what `verify_exposure` needs, so that no picture must be kept until the exposures are metered."""
     unexposed = [condition.model_copy(update={"exposure_ev": 0.0}) for condition in record.conditions]
-    pictures = [np.percentile(luminance(compose.target(view, condition)), [50, 95]) for condition in unexposed]
-    medians, highs = np.transpose(pictures)
+    medians, highs = zip(*(levels(compose.target(view, condition)) for condition in unexposed), strict=True)
     everything = LightingCondition.unchanged(view.lights)
     picture = luminance(compose.target(view, everything))
     neighbours = maximum_filter(picture, footprint=NEIGHBOURS, mode="mirror")
     spike = float(picture.max(initial=0.0, where=picture > FIREFLY * neighbours))
-    return Brightness(tuple(medians.tolist()), tuple(highs.tolist()), spike)
+    return Brightness(medians, highs, spike)
 
 
 def verify_exposure(record: SceneRecord, number: int, seen: Brightness) -> list[Fault]:

@@ -10,13 +10,16 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.ndimage import uniform_filter
 
-from multilight.scenes.arrays import Float64
+from multilight.scenes.arrays import Float64, Mask
 from multilight.scenes.poses import matrix4
 from multilight.scenes.spec import Camera
 
 SENSOR_MM = 36.0
 """Width of a full-frame sensor, and Blender's default, in millimetres."""
+FLAT = 1e-3
+"""How far inverse depth may be from its mean round a pixel, relative, where a surface counts as flat."""
 
 
 def look_at(eye: ArrayLike, target: ArrayLike, up: Sequence[float] = (0.0, 0.0, 1.0)) -> Float64:
@@ -172,7 +175,8 @@ def reprojection_error(
     z_depths (H, W) in metres, 0 where nothing; `tolerance` is relative. A point agrees where its depth lies
     within the stored depths of the four pixel centres around it, widened by the tolerance. One that lies behind
     all four is hidden from b and is not counted; one in front of all four should have been seen by b: a fault.
-    The four-pixel range makes silhouettes count neither for nor against.
+    The four-pixel range makes silhouettes count neither for nor against, nor do points beside which a's surface is not
+    flat as far as a pixel of b reaches: of a close-up's detail b may store nothing.
     """
     depth_a = np.asarray(depth_a, np.float64)
     stored = np.asarray(depth_b, np.float64)
@@ -181,6 +185,8 @@ def reprojection_error(
     pixels, depth = project(camera_b, unproject(camera_a, depth_a)[depth_a > 0])
     grid = pixels - 0.5
     inside = (depth > 0) & np.all((grid >= 0) & (grid < [camera_b.width - 1, camera_b.height - 1]), axis=1)
+    reach = depth[inside] / depth_a[depth_a > 0][inside] * camera_a.fx / camera_b.fx
+    inside &= _flat(depth_a, float(np.percentile(reach, 90)) if len(reach) else 1.0)[depth_a > 0]
     grid, depth = grid[inside], depth[inside]
     corner = grid.astype(np.int64)
     # Nothing there is infinitely far: 1 / inf = 0 keeps the arithmetic below plain.
@@ -202,3 +208,13 @@ def reprojection_error(
         consistent=1.0 - np.count_nonzero(in_front) / compared if compared else math.nan,
         median_relative_error=float(np.median(np.abs(blended[smooth] - 1.0))) if smooth.any() else math.nan,
     )
+
+
+def _flat(depth: Float64, reach: float) -> Mask:
+    """Say which pixels of a z_depth (H, W) show a plane as far as `reach` pixels round them.
+
+    Inverse depth is linear across the image of a plane, so there its mean over a window is the value in the middle.
+    """
+    inverse = np.divide(1.0, depth, out=np.zeros_like(depth), where=depth > 0)
+    side = 2 * min(math.ceil(reach), max(1, min(depth.shape) // 8)) + 1
+    return np.abs(uniform_filter(inverse, side, mode="mirror") - inverse) < FLAT * inverse

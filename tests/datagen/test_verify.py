@@ -20,7 +20,7 @@ from multilight.datagen.storage.store import (
     write_text,
     write_view,
 )
-from multilight.datagen.tuples.exposure import DARK, LIFTED_BRIGHT, LIFTED_DARK, meter_condition
+from multilight.datagen.tuples.exposure import DARK, LIFTED_BRIGHT, LIFTED_DARK, levels, meter_condition, thumbnail
 from multilight.datagen.verification.dataset import verify_dataset
 from multilight.datagen.verification.views import Fault, verify_views
 from multilight.lights.spec import LightingCondition
@@ -137,16 +137,31 @@ def test_a_view_that_would_be_black_is_brightened() -> None:
     """A small lamp lights most views and hardly the last: one exposure for all must not leave that black."""
     lit = np.random.default_rng(0).uniform(0.1, 1.9, (1, 32, 32, 3)).astype(np.float32)
     condition = LightingCondition(name="lamp", gains={"lamp": (1.0, 1.0, 1.0)})
-    metered = meter_condition(condition, ("lamp",), [lit] * 8).exposure_ev
+
+    def exposed(*views: Float32) -> float:
+        return meter_condition(condition, ("lamp",), views, [levels(view[0]) for view in views]).exposure_ev
+
+    metered = exposed(*[lit] * 8)
     for share, brightened in ((0.5, False), (0.15, True)):
         dark = lit * np.float32(share)
-        exposure = meter_condition(condition, ("lamp",), [lit] * 8 + [dark]).exposure_ev
+        exposure = exposed(*[lit] * 8, dark)
         high = np.percentile(luminance(dark), 95) * 2.0**exposure
         assert (high == pytest.approx(LIFTED_DARK, rel=1e-3)) == brightened
         assert high > DARK
         assert exposure < metered + 1.0
-    hopeless = meter_condition(condition, ("lamp",), [lit] * 8 + [lit * np.float32(1e-4)]).exposure_ev
+    hopeless = exposed(*[lit] * 8, lit * np.float32(1e-4))
     assert np.median(luminance(lit)) * 2.0**hopeless <= LIFTED_BRIGHT * 1.001
+
+
+def test_a_light_too_small_for_thumbnails_is_metered_in_the_picture() -> None:
+    """Two pixels of a hundred glow: in thumbnails, where they are spread, a twentieth of the picture seems to."""
+    lit = np.full((1, 128, 128, 3), 0.1, np.float32)
+    small = np.full((1, 128, 128, 3), 0.01, np.float32)
+    small[:, ::8, ::8] = 30.0
+    condition = LightingCondition(name="lamp", gains={"lamp": (1.0, 1.0, 1.0)})
+    seen = [levels(view[0]) for view in (lit, small)]
+    exposure = meter_condition(condition, ("lamp",), [thumbnail(lit), thumbnail(small)], seen).exposure_ev
+    assert np.percentile(luminance(small), 95) * 2.0**exposure == pytest.approx(LIFTED_DARK, rel=1e-3)
 
 
 @pytest.fixture(scope="module")

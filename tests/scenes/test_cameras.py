@@ -175,6 +175,14 @@ def test_hidden_points_do_not_count_and_impossible_ones_do() -> None:
     assert reprojection_error(far, camera, far, camera).median_relative_error == pytest.approx(0, abs=1e-12)
 
 
+def test_detail_of_a_close_up_is_not_asked_of_a_wide_view() -> None:
+    close, wide = (camera_from_fov(look_at((0, -d, 0), (0, 0, 0)), width=64, height=64, fov=1.0) for d in (1, 8))
+    wall, relief = np.full((64, 64), 8.0), np.full((64, 64), 1.0)
+    relief[10:12, ::2] = relief[30:32, ::2] = relief[50:52, ::2] = 0.9  # less than a pixel of the wide view
+    assert reprojection_error(relief, close, wall, wide).consistent == 1.0
+    assert reprojection_error(relief * 0.9, close, wall, wide).consistent == 0.0
+
+
 def test_depth_of_the_wrong_shape_is_refused() -> None:
     camera = camera_from_fov(np.eye(4), width=8, height=4, fov=1.0)
     with pytest.raises(ValueError, match=r"\(8, 4\).*4 x 8"):
