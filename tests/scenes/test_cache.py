@@ -69,6 +69,7 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
     "folder": as_folder,
     "flipped": flipped,
     "blank": blank,
+    "unended": lambda path: path.write_bytes(path.read_bytes()[:-12]),
 }
 
 
@@ -101,7 +102,7 @@ def use(folder: Path) -> dict[str, object]:
 CASES = {
     "index/*.json": ("cut", "npy", "folder"),
     "meshes/**/*.npz": ("cut", "empty", "pickle", "npy", "text", "folder", "flipped"),
-    "textures/**/metal-brushed.png": ("cut", "pickle", "flipped", "blank"),
+    "textures/**/metal-brushed.png": ("cut", "pickle", "flipped", "blank", "unended"),
     "environments/**/*.exr": ("cut", "empty"),
 }
 

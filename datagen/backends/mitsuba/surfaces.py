@@ -227,9 +227,13 @@ def accelerate(arrays: SceneArrays, chosen: Mask) -> TriangleSet | None:
     original = np.flatnonzero(chosen).astype(np.uint32)
     if not original.size:
         return None
-    mesh = mi.Mesh("scene", vertex_count=len(arrays.vertices), face_count=len(original))
+    corners = arrays.faces[original, :3]
+    used = np.zeros(len(arrays.vertices), bool)
+    used[corners] = True
+    number = np.cumsum(used, dtype=np.uint32) - 1
+    mesh = mi.Mesh("scene", vertex_count=np.count_nonzero(used), face_count=len(original))
     parameters = mi.traverse(mesh)
-    parameters["vertex_positions"] = on_device(mi.Float, arrays.vertices[:, :3])
-    parameters["faces"] = on_device(mi.UInt32, arrays.faces[original, :3])
+    parameters["vertex_positions"] = on_device(mi.Float, arrays.vertices[used, :3])
+    parameters["faces"] = on_device(mi.UInt32, number[corners])
     parameters.update()
     return TriangleSet(mi.load_dict({"type": "scene", "mesh": mesh}), on_device(mi.UInt32, original))
