@@ -16,9 +16,8 @@ from multilight.scenes.frozen import Frozen, Matrix4, Rgb, Slug, Vector3, triple
 from multilight.scenes.spec import Texture
 
 NonNegative = Annotated[float, Field(ge=0)]
-SUN_ANGLE, WIDEST_SUN = 0.00918, 0.5
-"""Angular diameters [rad]: of the sun, as in July, when it is smallest, and as Blender has it; and the largest that a
-parallel light may have."""
+SUN_ANGLE, WIDEST_SUN = 0.0093, 0.5
+"""Angular diameters [rad]: of the sun, in the mean of a year (32 arc minutes), and the largest of a parallel light."""
 
 
 Quantity = Literal["radiance", "intensity", "irradiance"]

@@ -6,7 +6,7 @@ from multilight.lights.photometry.colour import temperature_to_rgb
 from multilight.lights.photometry.irradiance import LightMeter, map_directions, small_map
 from multilight.lights.photometry.radiometry import watts_from_photometric
 from multilight.lights.rigs.lamps import SEEN, Tint
-from multilight.lights.spec import EnvironmentLight, SunLight
+from multilight.lights.spec import SUN_ANGLE, EnvironmentLight, SunLight
 from multilight.scenes.assets.builtin.skies import OVERCAST, sky_name, sky_parameters, sun_illuminance
 from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.colour import luminance
@@ -14,7 +14,7 @@ from multilight.scenes.frozen import triple
 from multilight.scenes.poses import direction_from
 from multilight.scenes.streams import Rng, log_uniform, pick
 
-SUN_SIZES = (0.0093, 0.06)
+SUN_SIZES = (SUN_ANGLE, 0.06)
 """Angular diameters [rad] of the suns that are drawn: from the sun's own to a veiled one."""
 MOON_LUX, MOON_KELVIN = 0.27, 4150.0
 """The full moon high in a clear sky, on a surface that faces it [lx], and its colour temperature [K]."""
@@ -34,7 +34,7 @@ def sun_and_sky(azimuth: float, elevation: float, turbidity: float) -> tuple[Sun
         name="sun",
         direction=triple(-direction_from(azimuth, height)),
         irradiance=triple(beam),
-        angle=SUN_SIZES[0],
+        angle=SUN_ANGLE,
     )
     return sun, _sky(name, azimuth)
 
@@ -100,7 +100,7 @@ def plain_sun(rng: Rng, meter: LightMeter, azimuth: float, elevation: float) -> 
     temperature = round(float(np.clip(warm * np.exp(rng.normal(0.0, 0.12)), 2200.0, 9000.0)))
     direction = triple(-direction_from(*found))
     rgb = temperature_to_rgb(temperature)
-    angle = SUN_SIZES[0] if rng.random() < 0.5 else log_uniform(rng, *SUN_SIZES)
+    angle = SUN_ANGLE if rng.random() < 0.5 else log_uniform(rng, *SUN_SIZES)
     return SunLight(name="sun", colour_temperature=temperature, direction=direction, irradiance=rgb, angle=angle)
 
 

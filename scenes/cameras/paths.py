@@ -150,8 +150,6 @@ def camera_on(path: Path, view: int, aims: tuple[Float64, Float64], size: tuple[
 def _midpoint(rng: Rng, framing: Framing, sweep: float) -> float:
     """Draw the azimuth [rad] of the midpoint of a sweep that keeps to the open side."""
     slack = max(0.0, framing.opening - sweep / 2)
-    if framing.opening >= np.pi / 2:
-        return framing.front + float(rng.uniform(-1.0, 1.0)) * slack  # the same but for the last bit
     return framing.front + float(rng.uniform(-slack, slack))
 
 
