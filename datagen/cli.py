@@ -37,7 +37,7 @@ GROUPS = {
     "make": ("dataset", "scene", "import", "plan"),
     "look": ("view", "verify", "mix", "sheet", "stats", "query"),
     "share": ("export", "pack"),
-    "learn": ("train", "evaluate", "ablate"),
+    "learn": ("train", "evaluate", "ablate", "study"),
     "use on your own pictures": ("harmonize", "insert"),
     "set up": ("assets", "config", "doctor"),
 }

@@ -4,12 +4,14 @@ from multilight.model.commands.ablate import Ablate
 from multilight.model.commands.evaluate import Evaluate
 from multilight.model.commands.harmonize import Harmonize
 from multilight.model.commands.insert import Insert
+from multilight.model.commands.study import Study
 from multilight.model.commands.train import Train
 
 COMMANDS: dict[str, type] = {
     "train": Train,
     "evaluate": Evaluate,
     "ablate": Ablate,
+    "study": Study,
     "harmonize": Harmonize,
     "insert": Insert,
 }

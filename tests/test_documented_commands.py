@@ -45,6 +45,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory, capture_folders: dict[str, 
     for name, mode in {"a": "RGB", "b": "RGB", "m": "L"}.items():
         values = rng.integers(0, 255, (48, 64, 3) if mode == "RGB" else (48, 64), np.uint8)
         Image.fromarray(values, mode).save(here / f"{name}.png")
+    for name in ("OURS", "THEIRS", "COMPOSITES"):
+        (here / name).mkdir()
+        shutil.copy(here / "a.png", here / name)
     trimesh.creation.icosphere(radius=0.1).export(here / "vase.glb")
     depth_onnx(here / "depth_anything_v2.onnx")
     return here

@@ -35,7 +35,7 @@ FOLDERS = (  # what writes a folder
 )
 FILES = ("mix DATA --out", "sheet DATA --out", f"{PICTURES} --out")
 READERS = (  # what reads a dataset
-    *("verify", "query", "stats"),
+    *("verify", "query", "stats", "view --no-open"),
     *("mix --out O.png", "sheet --out O.png", "pack --out O", "evaluate --out O", "ablate head --out O"),
     *(f"export {name} --out O" for name in ("dtc-multilight", "usd", "webdataset", "nerfstudio", "colmap", "luxremix")),
     "train TRAINING --out O --data",
@@ -92,6 +92,11 @@ MISTAKES = {
     f"{INSERT} --out O --gaussians NONE": "--gaussians NONE does not exist",
     # values that make no sense, alone or together
     "stats": "say which dataset to measure",
+    "plan --minutes 0": "--minutes 0.0 must be more than 0",
+    "plan --config NONE": "configuration file NONE does not exist",
+    "study": "name two folders and a page",
+    "study DIR NONE --out O.html": "NONE is no folder",
+    "study DIR DIR --out O.png": "DIR is named twice",
     "sheet DATA --out O.txt": "the suffix must be",
     "mix DATA --out O.txt": "O.txt",
     f"{PICTURES} --out O.txt": "no picture is written that ends in '.txt'; use .png or .jpg",
