@@ -7,6 +7,7 @@ make train      renders or reuses a training set, trains the slim 2D model for 1
 make docs       the documents as a site, in out/site
 make check      format, lints, types, who imports what
 make format     puts format and imports right
+make web        builds the light mixer's page from web/ (needs Node)
 make assets     sets up and fetches assets and what renders fast
 make clean      removes all that these made here
 
@@ -35,7 +36,7 @@ QUICK := tests/lights tests/scenes/files tests/datagen/test_compose.py tests/dat
 	tests/datagen/test_text.py tests/model/test_losses.py tests/model/test_metrics.py tests/test_boundaries.py tests/test_documents.py
 AS_ROOT := $(filter 0,$(shell id -u))
 
-.PHONY: help dataset assets test quick train docs check format clean system-libraries
+.PHONY: help dataset assets test quick train docs check format web chromium clean system-libraries
 .DEFAULT_GOAL := help
 
 help:
@@ -53,7 +54,7 @@ assets: .venv/installed
 	@$(MULTILIGHT) assets fetch || echo "Going on with what there is: built-in objects and Blender's own environments."
 	@$(MULTILIGHT) doctor --fetch || echo "Going on without LLVM, more slowly: with Blender's Cycles."
 
-test: .venv/installed-dev assets
+test: .venv/installed-dev assets chromium $(if $(shell command -v npm),web/node_modules/.package-lock.json)
 	$(BIN)/pytest $(PARALLEL)
 
 quick: .venv/installed-dev
@@ -79,8 +80,20 @@ format: .venv/installed-dev
 	$(BIN)/ruff format
 	$(BIN)/ruff check --fix
 
+web: web/node_modules/.package-lock.json
+	cd web && npm run build
+
+# What the page is tested with besides; without it those tests say so and are passed over.
+web/node_modules/.package-lock.json: web/package-lock.json
+	@cd web && npm ci --silent --no-audit --no-fund && touch node_modules/.package-lock.json || echo "Going on without web/node_modules."
+
+chromium:
+	@command -v chromium >/dev/null || command -v google-chrome >/dev/null || $(if $(AS_ROOT),{ apt-get update -qq && \
+		DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends chromium; } ||) \
+		echo "Going on without Chromium: the page of multilight view is not tested."
+
 clean:
-	rm -rf .venv out build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv out build web/node_modules *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 system-libraries: .venv/python

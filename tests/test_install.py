@@ -37,7 +37,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_wheel_holds_one_package_and_every_source(wheel: Path) -> None:
     names = set(zipfile.ZipFile(wheel).namelist())
     assert {name.split("/")[0] for name in names if ".dist-info/" not in name} == {"multilight"}
-    data = ("*.py", "*.csv", "*.toml", "*.safetensors")
+    data = ("*.py", "*.csv", "*.toml", "*.safetensors", "*.html", "*.js", "*.css")
     for folder in ("scenes", "lights", "datagen", "model"):
         for pattern in data:
             for path in (ROOT / folder).rglob(pattern):

@@ -95,7 +95,7 @@ class Handler(BaseHTTPRequestHandler):
     server_version, sys_version = "multilight", ""
     server: "Server"
 
-    def do_GET(self) -> None:  # noqa: N802
+    def do_GET(self) -> None:
         """Answer with the content, or with an error as JSON."""
         port = self.server.server_port
         if self.headers.get("Host") not in (f"{LOOPBACK}:{port}", f"localhost:{port}"):

@@ -26,6 +26,7 @@ let asked = "";
 let failed = "";
 let frame = 0;
 let written = 0;
+let address = location.hash;
 let painter: Painter = makePainter();
 
 function makePainter(): Painter {
@@ -79,8 +80,15 @@ function render(): void {
   panel.show(shown.view);
   clearTimeout(written);
   const hash = toHash(state, scene);
-  written = window.setTimeout(() => history.replaceState(null, "", `#${hash}`), 150);
+  written = window.setTimeout(() => write(hash), 150);
   if (!stage.wantsGeometry || shown.view.geometry) document.body.dataset.shown = hash;
+}
+
+/** Put the state into the address, unless somebody has just changed that. */
+function write(hash: string): void {
+  if (location.hash !== address) return;
+  history.replaceState(null, "", `#${hash}`);
+  address = location.hash;
 }
 
 async function load(key: string): Promise<void> {
@@ -119,10 +127,10 @@ async function openScene(index: number, hash: string): Promise<void> {
     const state: State = {
       scene: index, view: 0, object: scene.objects[0] ?? "", left: "composite", right: "target", layout: "divide", divider: 0.5, curve: "soft", edits: "object",
       linked: false, pick: null, lightings: { scene: light(scene.start.scene), object: light(scene.start.object) },
-      ...(old && { left: old.left, right: old.right, layout: old.layout, divider: old.divider, curve: old.curve }),
+      ...(old && { left: old.left, right: old.right, layout: old.layout, curve: old.curve }),
     };
     if (new URLSearchParams(hash).has("object")) fromHash(hash, state, scene);
-    else state.object = (await largest(scene, state)) ?? state.object;
+    else await chooseObject(state);
     const panel = new Panel(state, scene, change);
     const stage = new Stage(state, scene, change);
     open = { scene, state, stage, panel };
@@ -140,13 +148,14 @@ async function openScene(index: number, hash: string): Promise<void> {
   change();
 }
 
-/** The object that covers most of the first view; unknown where the view cannot be read, which is told later. */
-async function largest(scene: Scene, state: State): Promise<string | undefined> {
+/** Begin with the object that covers most of the view, under the divider; what cannot be read is told later. */
+async function chooseObject(state: State): Promise<void> {
   try {
-    const { about } = await loadView(scene.index, state.view);
-    return about.objects.reduce((best, each) => (each.coverage > best.coverage ? each : best)).name;
+    const { about } = await loadView(state.scene, state.view);
+    const { name, box: [left, , wide] } = about.objects.reduce((best, each) => (each.coverage > best.coverage ? each : best));
+    Object.assign(state, { object: name, divider: (left + wide / 2) / about.width });
   } catch {
-    return undefined;
+    state.divider = 0.5;
   }
 }
 
@@ -164,7 +173,7 @@ function tell(text: string): void {
 }
 
 async function copyLink(): Promise<void> {
-  if (open) history.replaceState(null, "", `#${toHash(open.state, open.scene)}`);
+  if (open) write(toHash(open.state, open.scene));
   await navigator.clipboard.writeText(location.href).then(() => tell("The link to this state is copied"), () => tell("The address bar holds the link to this state"));
 }
 
@@ -201,7 +210,8 @@ async function begin(): Promise<void> {
 
 /** Show what the address says. */
 async function follow(): Promise<void> {
-  const hash = location.hash.slice(1);
+  address = location.hash;
+  const hash = address.slice(1);
   if (!dataset || hash === document.body.dataset.shown) return;
   const named = Number(new URLSearchParams(hash).get("scene") ?? NaN);
   const index = dataset.scenes.find((scene) => scene.index === named)?.index ?? dataset.scenes[0].index;

@@ -5,7 +5,7 @@ import { conditionOf, sideLit, type Side, type State } from "./state";
 
 function opened(title: string, ...children: (Node | string)[]): HTMLDialogElement {
   const close = h("button", { class: "quiet", "aria-label": "Close", onclick: () => dialog.close() }, icon("close"));
-  const dialog = h("dialog", { "aria-label": title, onclose: () => dialog.remove(), onclick: (event: Event) => { if (event.target === dialog) dialog.close(); } }, h("div", { class: "sheet" }, h("div", { class: "line" }, h("h2", {}, title), close), ...children));
+  const dialog = h("dialog", { "aria-label": title, onclose: () => dialog.remove(), onclick: (event: Event) => { if (event.target === dialog) dialog.close(); } }, h("div", { class: "sheet" }, h("div", { class: "line" }, h("h2", { tabindex: -1, autofocus: true }, title), close), ...children));
   document.body.append(dialog);
   dialog.showModal();
   return dialog;
@@ -24,7 +24,7 @@ export function showSave(state: State, scene: Scene, address: string, told: (tex
   const name = h("input", { type: "text", required: true, pattern: "[a-z][a-z0-9_]{0,39}", spellcheck: "false", autocomplete: "off", "aria-describedby": "name-rule", oninput: () => show() });
   const [text, command] = [h("pre", { tabindex: "0", "aria-label": "The file" }), h("pre", { tabindex: "0", "aria-label": "The command" })];
   const save = h("button", { class: "main" }, icon("save"), "Save the file");
-  const content = () => `${JSON.stringify(conditionOf(sideLit(state, side), scene, name.value), null, 1)}\n`;
+  const content = () => `${JSON.stringify(conditionOf(sideLit(state, side), scene, name.value), null, 1).replace(/\[[^\]]*\]/g, (gain) => gain.replace(/\s+/g, " "))}\n`;
   const show = () => {
     save.disabled = !name.validity.valid;
     text.textContent = content();

@@ -225,7 +225,7 @@ export class Stage {
       const [depth, id] = [view.geometry.depth[at], view.geometry.ids[at]];
       const body = this.scene.bodies[id - 1];
       facts.push(fact("depth", depth > 0 ? `${depth.toPrecision(4)} m` : "nothing there"));
-      if (body) facts.push(fact("object", body.name === body.category ? slug(body.name) : `${slug(body.name)} (${slug(body.category)})`), fact("material", body.material));
+      if (body) facts.push(fact("object", slug(body.name) === slug(body.category) ? slug(body.name) : `${slug(body.name)} (${slug(body.category)})`), fact("material", body.material));
     }
     return facts;
   }
