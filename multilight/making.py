@@ -12,7 +12,8 @@ from multilight.datagen.commands.output import progress as shown
 from multilight.datagen.config.dataset import DatasetConfig, load_config
 from multilight.datagen.config.presets import PRESETS, Preset
 from multilight.datagen.errors import UserError
-from multilight.datagen.production.dataset import Outcome, Plan, default_workers, make_dataset, settings_of
+from multilight.datagen.production.dataset import Outcome, Plan, make_dataset, settings_of
+from multilight.datagen.production.memory import default_workers
 from multilight.datagen.report import silent
 from multilight.datagen.text import plain
 from multilight.reading import Dataset, Scene, open
@@ -87,7 +88,7 @@ def _made(
     if workers is not None and (type(workers) is not int or workers < 1):
         raise UserError(f"workers {workers!r} must be a whole number from 1 up")
     folders = tuple(Path(folder) for folder in ([assets] if isinstance(assets, str | Path) else assets))
-    plan = Plan(out, config, indices, workers or default_workers(len(indices)), folders, repair)
+    plan = Plan(out, config, indices, workers or default_workers(len(indices), config), folders, repair)
     try:
         with _no_main(), shown("views", "starting") if progress else contextlib.nullcontext(silent) as report:
             outcome = make_dataset(plan, report)

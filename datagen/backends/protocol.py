@@ -12,6 +12,9 @@ from multilight.scenes.errors import MultilightError
 from multilight.scenes.frozen import Frozen
 from multilight.scenes.spec import Camera, SceneSpec
 
+LARGE = 1 << 20
+"""Pixels of a picture above which memory is saved at the cost of time: its layers wait on disk while it is made."""
+
 
 class RenderSettings(Frozen):
     """How to render: samples a pixel (or other numbers at their cost, where that is better), path length, CPU threads

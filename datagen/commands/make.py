@@ -123,7 +123,8 @@ def make_scenes(
     """Make what is missing or damaged of these scenes of a dataset, say how it went, and return the exit code."""
     from multilight.datagen.commands.doctor import slow_note
     from multilight.datagen.commands.output import progress
-    from multilight.datagen.production.dataset import Plan, default_workers, make_dataset
+    from multilight.datagen.production.dataset import Plan, make_dataset
+    from multilight.datagen.production.memory import default_workers
 
     if out.is_symlink() and not out.exists():
         raise UserError(f"--out {out} is a link that leads nowhere (to {out.readlink()}); make that folder first")
@@ -131,7 +132,7 @@ def make_scenes(
         raise UserError(f"--workers {workers} must be 1 or more")
     if note := slow_note(config.renderer):
         print(note, file=sys.stderr)
-    plan = Plan(out, config, indices, workers or default_workers(len(indices)), assets, repair)
+    plan = Plan(out, config, indices, workers or default_workers(len(indices), config), assets, repair)
     start = time.monotonic()
     with progress("views", "starting") as report:
         outcome = make_dataset(plan, report)

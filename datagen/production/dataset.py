@@ -170,11 +170,6 @@ def settings_of(root: Path) -> dict[str, Any]:
     return {}
 
 
-def default_workers(scenes: int) -> int:
-    """Return one process a core, but no more than there are scenes."""
-    return max(1, min(len(os.sched_getaffinity(0)), scenes))
-
-
 def _check_kind(config: DatasetConfig, renderer: RendererName) -> None:
     if renderer == "analytic" and config.kind not in ("spheres", "imported"):
         raise UserError(

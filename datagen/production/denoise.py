@@ -41,11 +41,13 @@ SEAM = 3  # pixels round a change within which the clean pictures of a variant a
 
 def denoise_all(stack: LayerStack, *, threads: int = 1) -> Float32:
     """Denoise every layer of variant `all`, (L, H, W, 3) float32; the number of threads changes no bit."""
+    layers = np.empty(stack.radiance.shape, np.float32)
 
-    def one(light: int) -> Float32:
-        return _denoise(stack, light, None, _scale(stack.radiance[light]))
+    def one(light: int) -> None:
+        layers[light] = _denoise(stack, light, None, _scale(stack.radiance[light]))
 
-    return np.stack(_each_light(one, stack, threads))
+    _each_light(one, stack, threads)
+    return layers
 
 
 @dataclass(frozen=True)
@@ -74,11 +76,13 @@ def denoise_without(
     rendered is denoised as a whole instead, where that is better.
     """
     own = binary_dilation(shown, np.ones((3, 3), bool), iterations=MARGIN)
+    layers = clean.copy()
 
-    def one(light: int) -> tuple[Float32, float, float, bool]:
-        raw, raw_all, layer = stack.radiance[light], everything.radiance[light], clean[light].copy()
+    def one(light: int) -> tuple[float, float, bool]:
+        raw, raw_all, layer = stack.radiance[light], everything.radiance[light], layers[light]
         if not raw.any():
-            return raw, 0.0, 0.0, False
+            layer[:] = 0.0
+            return 0.0, 0.0, False
         seen = _changed(own, raw, raw_all, layer)
         weight = _soft_mask(seen)[..., None]
         for box in _rectangles(seen):
@@ -89,12 +93,13 @@ def denoise_without(
             whole = _denoise(stack, light, None, _scale(raw))
             again = residual(whole, raw, own, ~own)
             if max(again) < 0.9 * max(found):  # else it is the denoiser's own bias
-                return whole, again[0], again[1], True
-        return layer, found[0], found[1], False
+                layer[:] = whole
+                return again[0], again[1], True
+        return found[0], found[1], False
 
-    layers, inside, outside, anew = zip(*_each_light(one, stack, threads), strict=True)
+    inside, outside, anew = zip(*_each_light(one, stack, threads), strict=True)
     named = tuple(name for name, again in zip(stack.lights, anew, strict=True) if again)
-    return Removed(np.stack(layers), inside, outside, named)
+    return Removed(layers, inside, outside, named)
 
 
 def foreground_layers(foreground: LayerStack, whole: Float32) -> Float32:
@@ -103,7 +108,9 @@ def foreground_layers(foreground: LayerStack, whole: Float32) -> Float32:
     Inside the object that is `whole`, variant `all`, itself, and outside it is nothing; its outline shows the
     object's own samples.
     """
-    return _inside_all(foreground, whole, foreground.radiance)
+    assert foreground.coverage is not None
+    alpha = foreground.coverage[..., None]
+    return np.where(alpha >= 1.0, whole, np.where(alpha <= 0.0, np.float32(0.0), foreground.radiance))
 
 
 def denoise_foreground(foreground: LayerStack, clean: Float32, *, threads: int = 1) -> Float32:
@@ -114,21 +121,18 @@ def denoise_foreground(foreground: LayerStack, clean: Float32, *, threads: int =
     """
     assert foreground.coverage is not None
     boxes = _rectangles((foreground.coverage > 0) & (foreground.coverage < 1))
+    inside = foreground.coverage >= 1
+    layers = np.zeros(clean.shape, np.float32)
 
-    def one(light: int) -> Float32:
-        layer = np.zeros_like(clean[light])
+    def one(light: int) -> None:
         for box in boxes:
+            at = np.s_[box[0] : box[1], box[2] : box[3]]
             outline = _denoise(foreground, light, box, _scale(clean[light]), smaller=True)
-            layer[box[0] : box[1], box[2] : box[3]] = outline
-        return layer
+            layers[light][at] = np.where(foreground.coverage[at][..., None] > 0, outline, np.float32(0.0))
+        layers[light][inside] = clean[light][inside]
 
-    return _inside_all(foreground, clean, np.stack(_each_light(one, foreground, threads)))
-
-
-def _inside_all(foreground: LayerStack, whole: Float32, edge: Float32) -> Float32:
-    assert foreground.coverage is not None
-    alpha = foreground.coverage[..., None]
-    return np.where(alpha >= 1.0, whole, np.where(alpha <= 0.0, np.float32(0.0), edge))
+    _each_light(one, foreground, threads)
+    return layers
 
 
 def _changed(shown: Mask, raw: Float32, raw_all: Float32, clean: Float32) -> Mask:

@@ -4,7 +4,7 @@ import os
 import shutil
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -181,7 +181,9 @@ def _write_scene(
         RenderSettings(spp=maker.config.spp, threads=maker.threads),
         denoise=maker.denoises,
         keep_raw=maker.config.keep_raw,
+        scratch=work,
     )
+    work.mkdir(parents=True, exist_ok=True)
     thumbnails, brightnesses = [], []
     before: ViewData | None = None
     for number in range(len(record.scene.cameras)):
@@ -191,13 +193,14 @@ def _write_scene(
             write_view(path, rendered.data)
             record = record.model_copy(update={"views": (*record.views, _view_record(record.scene, path, rendered))})
         with watch.stage("verify"):
-            view = read_view(path)
+            view = read_view(path, compact=True)
             faults = verify_rendered(record, number, view, rendered.data)
             if before is not None:
                 faults += verify_pair(record, (number - 1, before), (number, view))
         if faults:
             return record, faults
-        before = view
+        before = replace(view, variants={}, raw={})  # no more than the next view is held to
+        del rendered
         thumbnails.append(thumbnail(view.variants[ALL]))
         brightnesses.append(brightness(record, view))
     seen = [[(b.median[n], b.high[n]) for b in brightnesses] for n in range(len(record.conditions))]

@@ -1,16 +1,19 @@
 """Render one view: every variant, light by light, denoised, with what the layers held before."""
 
-from collections.abc import Iterable, Sequence
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
-from multilight.datagen.backends.protocol import Backend, RenderJob, RenderSettings
+from multilight.datagen.backends.protocol import LARGE, Backend, RenderJob, RenderSettings
 from multilight.datagen.production.denoise import denoise_all, denoise_foreground, denoise_without, foreground_layers
 from multilight.datagen.production.stopwatch import Stopwatch
+from multilight.datagen.storage.halves import Halves
 from multilight.datagen.storage.layers import LayerStack
 from multilight.datagen.storage.records import LayerEnergy, Residuals
-from multilight.datagen.storage.store import ViewData
+from multilight.datagen.storage.store import ViewData, in_half
 from multilight.datagen.storage.variants import ALL, Variant
 from multilight.datagen.verification.residuals import noise_variance, residual
 from multilight.lights.spec import LightRig
@@ -23,7 +26,11 @@ Stacks = dict[str, LayerStack]
 
 @dataclass(frozen=True)
 class SceneSetup:
-    """What all views of a scene share. `denoise`: clean each layer; `keep_raw`: keep what was rendered as well."""
+    """What all views of a scene share.
+
+    `denoise`: clean each layer; `keep_raw`: keep what was rendered as well; `scratch`: a folder where what is rendered
+    of large pictures waits to be denoised.
+    """
 
     backend: Backend
     scene: SceneSpec
@@ -31,6 +38,7 @@ class SceneSetup:
     settings: RenderSettings
     denoise: bool
     keep_raw: bool
+    scratch: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -49,56 +57,79 @@ def render_view(setup: SceneSetup, view: int, watch: Stopwatch) -> RenderedView:
 
     def render(variant: str) -> LayerStack:
         with watch.stage("render"):
-            return setup.backend.render(RenderJob(setup.scene, setup.rig, setup.settings, view, variant))
+            stack = setup.backend.render(RenderJob(setup.scene, setup.rig, setup.settings, view, variant))
+            return _set_aside(stack, setup.scratch) if large else stack
 
-    names = setup.scene.insertable
+    names, camera = setup.scene.insertable, setup.scene.cameras[view]
+    large = camera.width * camera.height > LARGE
     everything = render(ALL)
     assert everything.geometry is not None
     foregrounds = _within_pixels({name: render(Variant.foreground(name)) for name in names})
     without = {name: render(Variant.without(name)) for name in names}
-    raw = _as_rendered(everything, without, foregrounds)
+    raw: Mapping[str, Float32] = {}
+    if setup.keep_raw or not setup.denoise:
+        raw = _kept(_as_rendered(everything, without, foregrounds), large=large)
     variants, residuals = raw, dict[str, Residuals]()
     if setup.denoise:
         with watch.stage("denoise"):
-            variants, residuals = _denoised(everything, without, foregrounds, threads=max(1, setup.settings.threads))
+            clean = _denoised(everything, without, foregrounds, residuals, threads=max(1, setup.settings.threads))
+            variants = _kept(clean, large=large)
     coverage = {name: stack.coverage for name, stack in foregrounds.items() if stack.coverage is not None}
     free = np.clip(1.0 - sum(coverage.values()), 0.0, 1.0)
     geometry = replace(everything.geometry, environment=np.minimum(everything.geometry.environment, free))
-    kept = raw if setup.denoise and setup.keep_raw else {}
+    kept = raw if setup.denoise else {}
     data = ViewData(setup.rig.names, variants, coverage, geometry, everything.combined, kept)
     whole = [(ALL, everything), *((Variant.without(name), stack) for name, stack in without.items())]
     energy: dict[str, dict[str, LayerEnergy]] = {variant: layer_energies(stack) for variant, stack in whole}
     return RenderedView(data, additivity_residual(everything), energy, residuals)
 
 
-def _as_rendered(everything: LayerStack, without: Stacks, foregrounds: Stacks) -> dict[str, Float32]:
-    variants: dict[str, Float32] = {ALL: everything.radiance}
+def _set_aside(stack: LayerStack, folder: Path | None) -> LayerStack:
+    """Put what is large of a stack into a file without a name, from which it is read when it is looked at."""
+
+    def on_disk(values: Float32) -> Float32:
+        with tempfile.TemporaryFile(dir=folder) as file:
+            values.tofile(file)
+            file.flush()
+            return np.memmap(file, np.float32, mode="c", shape=values.shape)
+
+    names = ("radiance", "guide_albedo", "guide_normal")
+    there = {name: values for name in names if (values := getattr(stack, name)) is not None}
+    return replace(stack, **{name: on_disk(values) for name, values in there.items()})
+
+
+def _kept(layers: Iterable[tuple[str, Float32]], *, large: bool) -> Mapping[str, Float32]:
+    """Keep layers by variant; those of a large picture, which are made one after the other, as they will be stored."""
+    return Halves({name: in_half(values) for name, values in layers}) if large else dict(layers)
+
+
+def _as_rendered(everything: LayerStack, without: Stacks, foregrounds: Stacks) -> Iterator[tuple[str, Float32]]:
+    yield ALL, everything.radiance
     for name, stack in without.items():
-        variants[Variant.without(name)] = stack.radiance
-        variants[Variant.foreground(name)] = foreground_layers(foregrounds[name], everything.radiance)
-    return variants
+        yield Variant.without(name), stack.radiance
+        yield Variant.foreground(name), foreground_layers(foregrounds[name], everything.radiance)
 
 
 def _denoised(
-    everything: LayerStack, without: Stacks, foregrounds: Stacks, *, threads: int
-) -> tuple[dict[str, Float32], dict[str, Residuals]]:
+    everything: LayerStack, without: Stacks, foregrounds: Stacks, residuals: dict[str, Residuals], *, threads: int
+) -> Iterator[tuple[str, Float32]]:
+    """Yield variants and their denoised layers; note how far these are from what was rendered."""
     clean = denoise_all(everything, threads=threads)
     anywhere = np.ones(clean.shape[1:3], bool)
     left = (residual(layer, raw, anywhere)[0] for layer, raw in zip(clean, everything.radiance, strict=True))
-    variants: dict[str, Float32] = {ALL: clean}
-    residuals: dict[str, Residuals] = {ALL: Residuals(outside=_largest(everything.lights, left))}
+    residuals[ALL] = Residuals(outside=_largest(everything.lights, left))
+    yield ALL, clean
     for name, stack in without.items():
         removed = denoise_without(
             stack, everything, clean, shown_in(everything, stack, foregrounds[name]), threads=threads
         )
-        variants[Variant.without(name)] = removed.layers
-        variants[Variant.foreground(name)] = denoise_foreground(foregrounds[name], clean, threads=threads)
         residuals[Variant.without(name)] = Residuals(
             inside=_largest(stack.lights, removed.inside),
             outside=_largest(stack.lights, removed.outside),
             denoised_anew=removed.anew,
         )
-    return variants, residuals
+        yield Variant.without(name), removed.layers
+        yield Variant.foreground(name), denoise_foreground(foregrounds[name], clean, threads=threads)
 
 
 def _largest(lights: Sequence[str], found: Iterable[float]) -> dict[str, float]:
@@ -131,6 +162,8 @@ def _within_pixels(foregrounds: Stacks) -> Stacks:
     Each is rendered on its own, so where see-through things overlap the estimates need not add up.
     """
     total = np.maximum(sum(stack.coverage for stack in foregrounds.values() if stack.coverage is not None), 1.0)
+    if not (total > 1.0).any():
+        return foregrounds
     return {
         name: replace(stack, coverage=stack.coverage / total, radiance=stack.radiance / total[..., None])
         for name, stack in foregrounds.items()

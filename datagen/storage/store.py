@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from multilight.datagen.errors import StoreError
+from multilight.datagen.storage.halves import Halves
 from multilight.datagen.storage.layers import GeometryBuffers
 from multilight.datagen.storage.place import find_place
 from multilight.datagen.storage.records import DatasetRecord, SceneRecord
@@ -135,11 +136,11 @@ def write_exr(path: Path, channels: Mapping[str, NDArray[np.generic]]) -> None:
     OpenEXR.File(dict(HEADER), planes).write(str(path))
 
 
-def read_view(path: Path, stated: tuple[SceneRecord, int] | None = None) -> ViewData:
+def read_view(path: Path, stated: tuple[SceneRecord, int] | None = None, *, compact: bool = False) -> ViewData:
     """Read one view back; raises `StoreError` naming the file where it is missing, truncated or foreign.
 
     `stated` are a scene's record and the number of the view, where the file is to be held to them before anything is
-    decoded.
+    decoded. `compact`: layers stay in half precision until they are asked for.
     """
     if not path.is_file():
         raise StoreError(f"{path} is missing")
@@ -153,10 +154,15 @@ def read_view(path: Path, stated: tuple[SceneRecord, int] | None = None) -> View
             groups.setdefault(variant, {})[rest.split(".")[0]] = None
     try:
         lights = tuple(sorted(groups[ALL]))
-        stored = {part: np.stack([_joined(channels, f"{part}.{light}") for light in lights]) for part in groups}
+        kind = None if compact else np.float32
+        stored = {
+            part: np.stack([_joined(channels, f"{part}.{light}", kind=kind) for light in lights]) for part in groups
+        }
+        variants = {part: layers for part, layers in stored.items() if not part.startswith(RAW)}
+        raw = {part.removeprefix(RAW): layers for part, layers in stored.items() if part.startswith(RAW)}
         return ViewData(
             lights=lights,
-            variants={part: layers for part, layers in stored.items() if not part.startswith(RAW)},
+            variants=Halves(variants) if compact else variants,
             coverage={
                 name.removeprefix("coverage_").removesuffix(".A"): channels[name].astype(np.float32)
                 for name in channels
@@ -166,7 +172,7 @@ def read_view(path: Path, stated: tuple[SceneRecord, int] | None = None) -> View
                 **{name: _joined(channels, name, of, kind) for name, (of, _, kind) in GEOMETRY.items()}
             ),
             combined=_joined(channels, "combined"),
-            raw={part.removeprefix(RAW): layers for part, layers in stored.items() if part.startswith(RAW)},
+            raw=Halves(raw) if compact else raw,
         )
     except KeyError as error:
         raise StoreError(f"{path}: channel {error} is missing; damaged, or not a view of this layout") from None
@@ -216,9 +222,9 @@ def _parse(content: bytes, name: str, kind: type[_Record]) -> _Record:
         raise StoreError(f"{name} is damaged or of another version: {key or 'content'}: {told}") from None
 
 
-def as_stored(layers: Float32) -> Float32:
-    """Return (L, H, W, 3) radiance as it reads back: each layer in half precision, or as it is where that overflows."""
-    return np.stack([in_half(layer).astype(np.float32) for layer in layers])
+def as_stored(layer: Float32) -> Float32:
+    """Return a layer (H, W, 3) as it reads back: in half precision, or as it is where that overflows."""
+    return in_half(layer).astype(np.float32)
 
 
 def in_half(values: Float32) -> NDArray[np.floating]:
@@ -285,4 +291,5 @@ def _read_channels(path: Path) -> Channels:
 
 def _joined(found: Channels, prefix: str, channels: Sequence[str] = "RGB", kind: Any = np.float32) -> NDArray[Any]:
     planes = [found[f"{prefix}.{c}"] for c in channels]
-    return (planes[0] if len(planes) == 1 else np.stack(planes, axis=-1)).astype(kind)
+    joined = planes[0] if len(planes) == 1 else np.stack(planes, axis=-1)
+    return joined if kind is None else joined.astype(kind)

@@ -47,7 +47,7 @@ def save_preview(folder: Path, record: SceneRecord) -> None:
     """Write `preview.png`: four views from distant to close, with all lights on."""
     lit = next((c for c in record.conditions if len(c.gains) == len(record.rig.lights)), record.conditions[-1])
     views = np.unique(np.linspace(0, len(record.views) - 1, 4).round().astype(int))
-    pictures = [to_display(compose.target(read_view(folder / record.views[v].file), lit)) for v in views]
+    pictures = [to_display(compose.target(read_view(folder / record.views[v].file, compact=True), lit)) for v in views]
     image = Image.fromarray(np.concatenate(pictures, axis=1))
     image.thumbnail((1024, 256))
     image.save(folder / "preview.png")

@@ -87,7 +87,7 @@ def read_kept(path: Path, read: Callable[[Path], T]) -> T | None:
 def is_sound(path: Path, check: Callable[[Path], object] | None = None) -> bool:
     """Tell whether a file of the cache is there and whole; a damaged one is thrown away.
 
-    `check` raises an error for a damaged one; without it, the sums of PNG files are held to what they hold, other pictures
+    `check` raises an error for a damaged one; without it, the sums of a PNG are held to its content, other pictures
     and EXR maps are decoded, once in each process.
     """
     if not path.exists():

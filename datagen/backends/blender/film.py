@@ -16,6 +16,8 @@ from multilight.datagen.backends.protocol import BackendError, RenderSettings
 from multilight.scenes.arrays import Float32
 
 Passes = dict[str, Float32]
+DEVICE = "CPU"
+"""What Cycles renders on; `benchmarks.gpu_check` puts "GPU" here."""
 _LAYER = "view"
 
 
@@ -39,7 +41,7 @@ def configure(settings: RenderSettings, lights: tuple[str, ...]) -> None:
 
 
 def _configure_cycles(cycles: bpy.types.PropertyGroup, settings: RenderSettings) -> None:
-    cycles.device = "CPU"
+    cycles.device = DEVICE
     cycles.use_adaptive_sampling = cycles.use_denoising = cycles.use_auto_tile = False
     cycles.sample_clamp_direct = cycles.sample_clamp_indirect = cycles.light_sampling_threshold = 0.0
     cycles.max_bounces = cycles.diffuse_bounces = cycles.glossy_bounces = settings.max_bounces

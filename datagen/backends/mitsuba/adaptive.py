@@ -8,7 +8,7 @@ blocks, each of them well distributed in itself (a power of two of Sobol' points
 differences tell the variance, and then the rest where they serve most.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,8 +48,9 @@ def blocks_of(counts: NDArray[np.integer], size: int, *, after: int = 0) -> Bloc
     """Return `counts` (P,) blocks for each pixel that has had `after` of them."""
     ends = np.cumsum(counts)
     pixel = np.repeat(np.arange(len(counts), dtype=np.uint32), counts)
-    place = np.arange(len(pixel)) - np.repeat(ends - counts, counts) + after
-    return Blocks(size, pixel, (place * size).astype(np.uint32))
+    place = np.arange(after, after + len(pixel), dtype=np.uint32)
+    place -= np.repeat((ends - counts).astype(np.uint32), counts)
+    return Blocks(size, pixel, place * np.uint32(size))
 
 
 def first_blocks(pixels: int, spp: int) -> Blocks:
@@ -69,7 +70,7 @@ class Pilot:
     guides: Float32
 
 
-def further_blocks(first: Blocks, pilots: Sequence[Pilot], cost: Float32, spp: int) -> Blocks:
+def further_blocks(first: Blocks, pilots: Iterable[Pilot], cost: Float32, spp: int) -> Blocks:
     """Share out what is left of the cost of `spp` samples for each pixel.
 
     `pilots` are of the variants, `all` first. They share their samples, so a pixel gets what the neediest of them
@@ -82,11 +83,13 @@ def further_blocks(first: Blocks, pilots: Sequence[Pilot], cost: Float32, spp: i
     return blocks_of(_shared_out(need, cost, left, MOST * spp // first.size), first.size, after=FIRST)
 
 
-def _need(pilots: Sequence[Pilot]) -> Float32:
-    guides = pilots[0].guides
+def _need(pilots: Iterable[Pilot]) -> Float32:
+    pilots = iter(pilots)  # one at a time: of a large picture each takes much memory
+    everything = next(pilots)
+    guides = everything.guides
     usual = _alike(guides)
-    need = _noise(pilots[0]) / np.sqrt(usual)
-    for pilot in pilots[1:]:
+    need = _noise(everything) / np.sqrt(usual)
+    for pilot in pilots:
         alike = usual.copy()
         other = maximum_filter((pilot.guides != guides).any(axis=-1), WINDOW)
         for box in find_objects(other.astype(int)):

@@ -19,15 +19,22 @@ from multilight.datagen.backends.mitsuba.integrator import PathResult, World, tr
 from multilight.datagen.backends.mitsuba.lights import emitters_of
 from multilight.datagen.backends.mitsuba.sampling import Sampler, stream_of
 from multilight.datagen.backends.mitsuba.surfaces import Surfaces, accelerate
-from multilight.datagen.backends.protocol import BackendError, RenderJob, RenderSettings, split_variant, view_camera
+from multilight.datagen.backends.protocol import (
+    LARGE,
+    BackendError,
+    RenderJob,
+    RenderSettings,
+    split_variant,
+    view_camera,
+)
 from multilight.datagen.storage.layers import LayerStack
 from multilight.lights.spec import EmissiveLight, LightRig
 from multilight.scenes.arrays import Float32
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.spec import SceneSpec
 
-LANES = 1 << 22
-"""Samples traced at once: enough to keep a GPU busy, few enough for memory."""
+LANES = 1 << (22 if mi.variant().startswith("cuda") else 20)
+"""Samples traced at once: enough to keep a GPU busy, few enough for memory. No bit depends on it."""
 FILM, LENS, BEFORE_PATHS = 8, 9, 1000
 """Dimensions of the camera's random numbers."""
 
@@ -59,8 +66,8 @@ class MitsubaBackend:
         camera = view_camera(job)
         dr.set_thread_count(job.settings.threads or dr.thread_count())
         synced = self.prepare(job)
-        film = synced.view(job.view, job.settings)
-        layers = film.mean((action, name or ""))
+        film = synced.view(job.view, job.settings, (action, name or ""))
+        layers = film.take((action, name or ""))
         albedo, normal = film.mean(("guides", name if name and action == "without" else ""))
         stack = LayerStack(
             lights=job.rig.names,
@@ -119,12 +126,14 @@ class _Synced:
         """The whole scene."""
         return self.worlds[None]
 
-    def view(self, number: int, settings: RenderSettings) -> Film:
+    def view(self, number: int, settings: RenderSettings, wanted: Key) -> Film:
         """Render all variants of a view and the masks of objects, or return them where it was the last.
+
+        A film of a large picture from which what is wanted was taken is made anew.
 
         Of guides, albedo and normal, those of the whole scene go by no name, else by that of the object removed.
         """
-        if self._view is None or self._key != (number, settings):
+        if self._view is None or self._key != (number, settings) or wanted not in self._view:
             self._view = None  # frees the device first
             self._view, self._key = self._render(number, settings), (number, settings)
         return self._view
@@ -151,11 +160,13 @@ class _Synced:
             sample(first)
         else:
             cost = sample(first, keys).reshape(camera.height, camera.width, FIRST).mean(axis=-1)
-            pilots = [
+            pilots = (
                 Pilot(*film.variance(key, FIRST), np.concatenate([*film.mean(("guides", key[1]))], axis=-1))
                 for key in keys
-            ]
+            )
             sample(further_blocks(first, pilots, cost, settings.spp))
+        if camera.width * camera.height > LARGE:
+            dr.flush_malloc_cache()
         return film
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from multilight.datagen.backends.mitsuba.adaptive import Blocks
 from multilight.datagen.backends.mitsuba.device import on_device
+from multilight.datagen.backends.protocol import LARGE
 from multilight.scenes.arrays import Float32, Int64
 
 Key = tuple[str, str]
@@ -17,40 +18,63 @@ Values = list[mi.Color3f] | list[mi.Normal3f]
 
 
 class Film:
-    """What a view's samples add up to; always in the same order, so to the same bits."""
+    """What a view's samples add up to; always in the same order, so to the same bits.
+
+    Sums lie in the host's memory, where what nothing was added to takes none.
+    """
 
     def __init__(self, height: int, width: int) -> None:
         self._shape = height, width
         self._samples: Int64 = np.zeros(height * width, np.int64)
-        self._sums: dict[Key, list[mi.Float]] = {}
-        self._squares: dict[Key, list[mi.Float]] = {}
+        self._sums: dict[Key, Float32] = {}
+        self._squares: dict[Key, Float32] = {}
+
+    def __contains__(self, key: Key) -> bool:
+        return key in self._sums
 
     def add(self, blocks: Blocks, values: Iterable[tuple[Key, Values]], *, squares: Collection[Key] = ()) -> None:
         """Add the samples of some blocks; of what is named in `squares`, `variance` can be asked for then."""
-        counts = np.bincount(blocks.pixel, minlength=self._samples.size)
-        self._samples += counts * blocks.size
+        pixels = slice(int(blocks.pixel[0]), int(blocks.pixel[-1]) + 1)
+        counts = np.bincount(blocks.pixel - blocks.pixel[0])
+        self._samples[pixels] += counts * blocks.size
         count = on_device(mi.UInt32, counts.astype(np.uint32))
         first = on_device(mi.UInt32, (np.cumsum(counts) - counts).astype(np.uint32))
+
+        def add(known: dict[Key, Float32], key: Key, sums: list[mi.Float]) -> None:
+            totals = known.setdefault(key, np.zeros((len(sums), self._samples.size), np.float32))
+            before = [on_device(mi.Float, channel[pixels]) for channel in totals]
+            for channel, total in zip(totals, _added(before, sums, first, count), strict=True):
+                if (found := np.array(total)).any():
+                    channel[pixels] = found
+
         for key, several in values:
             sums = [dr.block_sum(channel, blocks.size) for value in several for channel in value]
-            before = self._sums.get(key, [dr.zeros(mi.Float, self._samples.size) for _ in sums])
-            self._sums[key] = _added(before, sums, first, count)
+            add(self._sums, key, sums)
             if key in squares:
-                known = self._squares.get(key, [dr.zeros(mi.Float, self._samples.size)])
-                self._squares[key] = _added(known, [sum(dr.square(channel) for channel in sums)], first, count)
+                add(self._squares, key, [sum(dr.square(channel) for channel in sums)])
 
     def mean(self, key: Key) -> Float32:
         """Return means over each pixel's samples, (n, H, W, 3)."""
-        sums = np.stack([np.array(channel) for channel in self._sums[key]])
-        means = (sums / self._samples.astype(np.float32)).reshape(-1, 3, *self._shape)
-        return np.ascontiguousarray(means.transpose(0, 2, 3, 1))
+        sums, samples = self._sums[key], self._samples.astype(np.float32)
+        means = np.empty((len(sums) // 3, *self._shape, 3), np.float32)
+        for place, channel in enumerate(sums):
+            means[place // 3, ..., place % 3] = (channel / samples).reshape(self._shape)
+        return means
+
+    def take(self, key: Key) -> Float32:
+        """Return `mean`; of a large picture it is gone then, and can be asked for no more."""
+        means = self.mean(key)
+        if self._samples.size > LARGE:
+            del self._sums[key]
+        return means
 
     def variance(self, key: Key, blocks: int) -> tuple[Float32, Float32]:
         """Return what a block adds up to, (H, W), and the variance of that between a pixel's blocks, (H, W).
 
         Both are summed over layers and channels. `blocks` is the number of blocks that each pixel has had.
         """
-        sums, squares = self._sums[key], self._squares[key][0]
+        sums = [on_device(mi.Float, channel) for channel in self._sums[key]]
+        squares = on_device(mi.Float, self._squares[key][0])
         spread = dr.maximum(squares - sum(dr.square(channel) for channel in sums) / blocks, 0) / (blocks - 1)
         return np.array(sum(sums) / blocks).reshape(self._shape), np.array(spread).reshape(self._shape)
 
