@@ -107,6 +107,22 @@ def write_glb(path: Path, scene: trimesh.Scene, **changes: Any) -> Path:
     return path
 
 
+def write_glb_of(path: Path, header: dict[str, Any], material: dict[str, Any]) -> Path:
+    """Write a sheet with red vertices, a third of them opaque, changed by entries of the header and the material."""
+    sheet = rectangle(0.1, 0.1)
+    sheet.visual.vertex_colors = np.tile(np.array([255, 0, 0, 85], np.uint8), (4, 1))
+    data = sheet.export(file_type="glb")
+    length = struct.unpack("<I", data[12:16])[0]
+    made = json.loads(data[20 : 20 + length]) | {"materials": [material]} | header
+    made["meshes"][0]["primitives"][0]["material"] = 0
+    text = json.dumps(made).encode()
+    text += b" " * (-len(text) % 4)
+    rest = data[20 + length :]
+    head = struct.pack("<4sII", b"glTF", 2, 20 + len(text) + len(rest)) + struct.pack("<I4s", len(text), b"JSON")
+    path.write_bytes(head + text + rest)
+    return path
+
+
 BLENDER = """
 import sys
 from multilight.datagen.backends import blender

@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 
 from multilight.datagen.backends.blender.film import Passes, beauty_filter, centre_filter, configure, render_passes
-from multilight.datagen.backends.blender.materials import ALBEDO_AOV, SURFACE_AOV
+from multilight.datagen.backends.blender.materials import ALBEDO_AOV, SURFACE_AOV, deciding
 from multilight.datagen.backends.blender.scene import SyncedScene, place_camera, projected_border
 from multilight.datagen.backends.protocol import RenderJob, RenderSettings, split_variant, view_camera
 from multilight.datagen.storage.layers import GeometryBuffers, LayerStack
@@ -132,7 +132,8 @@ def _stack(passes: Passes, rig: LightRig, **more: Any) -> LayerStack:
 def _geometry(camera: Camera, beauty: Passes) -> GeometryBuffers:
     """Render once more through the pixel centres; only `environment` comes from the full render."""
     centre_filter()
-    passes = render_passes()
+    with _changed(deciding(), default_value=1.0):
+        passes = render_passes()
     hit = passes["Depth"] < _NOTHING
     surface = passes[SURFACE_AOV][..., :3] * hit[..., None]
     return GeometryBuffers(

@@ -17,6 +17,9 @@ SURFACE_AOV = "surface"
 """Roughness, metallic and whether there is a surface, in R, G and B."""
 
 
+DECIDED = "decided"
+
+
 class Materials:
     """Makes each distinct (material, emission) of a scene once."""
 
@@ -56,7 +59,7 @@ class Materials:
                 "Roughness": roughness,
                 "Metallic": metallic,
                 "IOR": material.ior,
-                "Alpha": alpha,
+                "Alpha": _decided(tree, alpha),
                 "Coat Weight": material.coat,
                 "Coat Roughness": material.coat_roughness,
                 "Transmission Weight": material.transmission,
@@ -134,10 +137,29 @@ def _add_emission(tree: Any, shader: Any, emission: Any, alpha: Any) -> Any:
     return total.outputs["Shader"]
 
 
+def _decided(tree: Any, alpha: Any) -> Any:
+    """Return opacity as it is, or, where the node `DECIDED` is switched on, as 1 above one half and 0 elsewhere.
+
+    Cycles takes see-through surfaces for hit by chance, whatever their opacity.
+    """
+    if alpha == 1.0:
+        return alpha
+    away = maths(tree, "SUBTRACT", maths(tree, "GREATER_THAN", alpha, 0.5), alpha)
+    switch = node(tree, "ShaderNodeMath", {0: away, 1: 0.0, 2: alpha}, "MULTIPLY_ADD")
+    switch.name = DECIDED
+    return switch.outputs["Value"]
+
+
+def deciding() -> list[Any]:
+    """Return the switches of all materials that may be see-through."""
+    trees = (material.node_tree for material in bpy.data.materials if material.node_tree is not None)
+    return [tree.nodes[DECIDED].inputs[1] for tree in trees if DECIDED in tree.nodes]
+
+
 def _write_aovs(tree: Any, color: Any, surface: tuple[Any, Any], alpha: Any) -> None:
     """Write the AOVs: albedo, roughness and metallic where the surface is opaque enough to count as hit.
 
-    That is Cycles' own threshold for depth and ids. Geometry that is see-through, but there, covers the environment.
+    That is the threshold for depth and ids. Geometry that is see-through, but there, covers the environment.
     """
     shown: Any = float(alpha > 0.5) if isinstance(alpha, float) else maths(tree, "GREATER_THAN", alpha, 0.5)
     albedo = node(tree, "ShaderNodeVectorMath", {"Vector": color, "Scale": shown}, "SCALE").outputs["Vector"]
