@@ -4,7 +4,6 @@ Only sizes are others: datasets are of closed-form spheres, and trainings take n
 """
 
 import re
-import shlex
 import shutil
 from pathlib import Path
 
@@ -15,12 +14,13 @@ from PIL import Image
 
 from multilight.datagen.cli import COMMANDS as MAKING
 from multilight.datagen.cli import main
+from multilight.datagen.commands.arguments import parsed
 from multilight.model.cli import COMMANDS as LEARNING
 from multilight.model.data import MultiLightDataset
 from tests import ROOT
 from tests.conftest import SPHERES
 from tests.model.test_harmonize import depth_onnx
-from tests.test_documents import blocks
+from tests.test_documents import blocks, printed
 
 PAGES = ("making", "dataset", "exports", "training", "model")
 SIZES = {
@@ -55,15 +55,21 @@ def folder(tmp_path_factory: pytest.TempPathFactory, capture_folders: dict[str, 
 def test_commands_run_as_printed(page: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
     (folder / "mine.toml").write_text("".join(blocks(ROOT / "docs" / "making.md", "toml")))
-    for line in "\n".join(blocks(ROOT / "docs" / f"{page}.md", "sh")).splitlines():
-        words = shlex.split(line.replace("'room'", "'spheres'"), comments=True)
-        words = words[: words.index(">")] if ">" in words else words
-        if not words:
-            continue
-        assert words[0] == "multilight", line
-        code = main([*words[1:], *SIZES.get(words[1], [])], MAKING | LEARNING)
+    for program, *words in printed(ROOT / "docs" / f"{page}.md"):
+        assert program == "multilight", words
+        words = [word.replace("'room'", "'spheres'") for word in words]
+        code = main([*words, *SIZES.get(words[0], [])], MAKING | LEARNING)
         # Spheres do not glow: a look-up may find none.
-        assert code == 0 or (code == 1 and words[1] == "query"), line
+        assert code == 0 or (code == 1 and words[0] == "query"), words
+
+
+@pytest.mark.slow
+def test_long_trainings_pass_their_own_checks(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    lines = [words[1:] for words in printed(ROOT / "docs" / "measurements.md") if words[:2] == ["multilight", "ablate"]]
+    assert len(lines) == 5
+    for words in lines:
+        parsed([word.replace("training-packed", "dataset") for word in words], LEARNING).check()
 
 
 @pytest.mark.slow
