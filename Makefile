@@ -1,6 +1,7 @@
 # Two commands do everything on a fresh Debian or Ubuntu with Python 3.11, git and make: `make dataset` and `make test`.
 define HELP
 make dataset    sets up, fetches assets, renders a small dataset, verifies it, makes a contact sheet
+                (1 to 5 minutes for setting up, 5 to 10 for the rest on two idle cores)
 make test       sets up and runs every test, several files at once
 make quick      in a minute and a half, what a change of pure code needs
 make train      renders or reuses a training set, trains the slim 2D model for 15 minutes, and evaluates it
@@ -24,7 +25,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 
 BIN := .venv/bin
 MULTILIGHT := $(BIN)/multilight
-PIP := $(BIN)/pip --quiet --disable-pip-version-check --no-input install -c constraints.txt
+PIP := $(BIN)/pip -qq --disable-pip-version-check --no-input install -c constraints.txt
 OPTIONS := $(if $(SCENES),--scenes $(SCENES)) $(if $(SEED),--seed $(SEED)) \
 	$(if $(WORKERS),--workers $(WORKERS)) $(if $(CONFIG),--config $(CONFIG),--preset demo)
 # What bpy and Dr.Jit link against and a bare system lacks. Without root they are unpacked into .venv/system.
@@ -98,11 +99,13 @@ clean:
 
 system-libraries: .venv/python
 ifdef AS_ROOT
-	apt-get update -qq
-	DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends $(LIBRARIES)
+	@echo "Installing system libraries that Blender and Mitsuba link against (about a minute) ..."
+	@apt-get update -qq
+	@DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends $(LIBRARIES)
 else
-	mkdir -p .venv/system
-	cd .venv/system && apt-get download -qq $(LIBRARIES) && for deb in *.deb; do dpkg-deb -x $$deb .; done && rm -f *.deb
+	@echo "Unpacking system libraries that Blender and Mitsuba link against into .venv/system (about a minute) ..."
+	@mkdir -p .venv/system
+	@cd .venv/system && apt-get download -qq $(LIBRARIES) && for deb in *.deb; do dpkg-deb -x $$deb .; done && rm -f *.deb
 endif
 
 .venv/python:
@@ -117,7 +120,7 @@ endif
 .venv/installed: .venv/python pyproject.toml constraints.txt
 	@echo "Setting up .venv with Blender, Mitsuba and what they need (1 to 5 minutes, 3 GB) ..."
 	@$(PIP) -e '.[render]'
-	@$(BIN)/python -c 'from multilight.datagen.backends import blender; import drjit' 2>/dev/null || $(MAKE) system-libraries
+	@$(BIN)/python -c 'from multilight.datagen.backends import blender; import drjit' 2>/dev/null || $(MAKE) --no-print-directory system-libraries
 	@touch $@
 
 .venv/installed-train: .venv/installed

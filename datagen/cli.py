@@ -19,6 +19,7 @@ from multilight.datagen.commands.terminal import (
     one_line,
     prepare_streams,
     reason_of,
+    set_warnings_aside,
     signals_end_it,
 )
 from multilight.datagen.errors import UserError
@@ -78,6 +79,8 @@ def main(arguments: list[str] | None = None, commands: Mapping[str, type] = COMM
     `--traceback` anywhere shows where an error came from.
     """
     prepare_streams()
+    if arguments is None:  # the process is the command's own
+        set_warnings_aside()
     words = list(sys.argv[1:] if arguments is None else arguments)
     traceback = "--traceback" in words
     words = [word for word in words if word != "--traceback"]
@@ -156,6 +159,8 @@ def _check_numbers(command: Any) -> None:
         name = f"--{field.name.replace('_', '-')}"
         if dataclasses.is_dataclass(value):
             _check_numbers(value)
+        elif value == () != field.default:
+            raise UserError(f"{name}: name one or more")
         elif isinstance(value, float) and not math.isfinite(value):
             raise UserError(f"{name} {value} must be a finite number")
         elif isinstance(value, int) and abs(value) > LARGEST_NUMBER:

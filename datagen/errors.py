@@ -29,6 +29,13 @@ class DiskFullError(RunStoppedError):
     """The output has no space left; what is finished is kept."""
 
 
+def reason_of(error: Exception) -> str:
+    """Say in a few words why a file or folder could not be used, without its name."""
+    if isinstance(error, FileExistsError):
+        return "it is a file, not a folder"
+    return getattr(error, "strerror", None) or str(error) or type(error).__name__
+
+
 @contextlib.contextmanager
 def full_disk_told(folder: Path) -> Iterator[None]:
     """Turn whatever a full disk under `folder`, a quota or a limit of size makes fail into `DiskFullError`."""

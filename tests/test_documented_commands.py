@@ -14,12 +14,13 @@ from PIL import Image
 
 from multilight.datagen.cli import COMMANDS as MAKING
 from multilight.datagen.cli import main
+from multilight.datagen.commands.arguments import parsed
 from multilight.model.cli import COMMANDS as LEARNING
 from multilight.model.data import MultiLightDataset
 from tests import ROOT
 from tests.conftest import SPHERES
 from tests.model.test_harmonize import depth_onnx
-from tests.test_documents import blocks, printed_commands
+from tests.test_documents import blocks, printed
 
 PAGES = ("tutorial", "making", "dataset", "viewing", "exports", "training", "model")
 SIZES = {
@@ -62,14 +63,23 @@ def as_spheres(text: str) -> str:
 def test_commands_run_as_printed(page: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
     (folder / "mine.toml").write_text("".join(blocks(ROOT / "docs" / "making.md", "toml")))
-    for printed in printed_commands(ROOT / "docs" / f"{page}.md"):
-        words = [as_spheres(word) for word in printed]
-        if words[1] == "view":  # which serves until it is stopped: tests/datagen/test_view.py
+    for program, *words in printed(ROOT / "docs" / f"{page}.md"):
+        assert program == "multilight", words
+        words = [as_spheres(word) for word in words]
+        if words[0] == "view":  # which serves until it is stopped: tests/datagen/test_view.py
             continue
-        assert words[0] == "multilight", words
-        code = main([*words[1:], *SIZES.get(words[1], [])], MAKING | LEARNING)
+        code = main([*words, *SIZES.get(words[0], [])], MAKING | LEARNING)
         # Spheres do not glow: a look-up may find none.
-        assert code == 0 or (code == 1 and words[1] == "query"), words
+        assert code == 0 or (code == 1 and words[0] == "query"), words
+
+
+@pytest.mark.slow
+def test_long_trainings_pass_their_own_checks(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    lines = [words[1:] for words in printed(ROOT / "docs" / "measurements.md") if words[:2] == ["multilight", "ablate"]]
+    assert len(lines) == 5
+    for words in lines:
+        parsed([word.replace("training-packed", "dataset") for word in words], LEARNING).check()
 
 
 @pytest.mark.slow

@@ -11,11 +11,11 @@ from typing import Any, get_args, get_type_hints
 
 import numpy as np
 import pytest
-import tyro
 import yaml
 
 import multilight
 from multilight.datagen.cli import COMMANDS as MAKING
+from multilight.datagen.commands.arguments import parsed
 from multilight.datagen.config.dataset import load_config
 from multilight.lights.spec import LightingCondition
 from multilight.model.cli import COMMANDS as LEARNING
@@ -31,13 +31,6 @@ pages = pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
 
 def blocks(page: Path, language: str) -> list[str]:
     return [code for found, code in FENCED.findall(page.read_text()) if found == language]
-
-
-def printed_commands(page: Path) -> list[list[str]]:
-    """Return the words of each line that is printed for the shell; lines that go on are joined, outputs left out."""
-    lines = "\n".join(blocks(page, "sh")).replace("\\\n", "").splitlines()
-    found = [shlex.split(line, comments=True) for line in lines]
-    return [words[: words.index(">")] if ">" in words else words for words in found if words]
 
 
 def spans(page: Path) -> list[str]:
@@ -119,15 +112,41 @@ def test_named_commands_exist(page: Path) -> None:
             check_command(shlex.split(span))
 
 
+def printed(page: Path) -> Iterator[list[str]]:
+    """Split the command lines in a page's blocks into words, without what they set or write to."""
+    for line in "\n".join(blocks(page, "sh")).replace("\\\n", "").splitlines():
+        words = shlex.split(line, comments=True)
+        if words:
+            yield words[: words.index(">")] if ">" in words else words
+
+
 @pages
 def test_printed_commands_can_be_given(page: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for words in printed_commands(page):
-        if words[:1] == ["multilight"]:
-            check_command(words)
-            try:
-                tyro.cli(COMMANDS[words[1]], args=words[2:], config=(tyro.conf.OmitArgPrefixes,))
-            except SystemExit:
-                pytest.fail(f"{page.name}: {shlex.join(words)}\n{capsys.readouterr()}")
+    """Also those that take too long to be run: values are allowed, and what they name of the repository is there."""
+    in_text = [shlex.split(span) for span in spans(page) if re.match(r"(\w+=\S+ )*(python|pytest) ", span)]
+    for words in (*printed(page), *in_text):
+        while "=" in words[0]:
+            words = words[1:]
+        for word in words[1:]:
+            assert not re.match(rf"(?:{FOLDERS})/", word) or (ROOT / word).exists(), (page.name, words)
+        match words:
+            case ["multilight", *given]:
+                try:
+                    parsed(given, COMMANDS)
+                except SystemExit:
+                    pytest.fail(f"{page.name}: {words}\n{capsys.readouterr()}")
+            case ["python", "-m", module, *given]:
+                check_script(ROOT / (module.replace(".", "/") + ".py"), given)
+            case ["python", file, *given]:
+                check_script(ROOT / file, given)
+            case [program, *_]:
+                assert program in ("make", "pytest", ".venv/bin/pytest"), (page.name, words)
+
+
+def check_script(file: Path, words: list[str]) -> None:
+    """Check that a script's options are there, which are the fields of a class."""
+    named = {word[2:].replace("-", "_") for word in words if word.startswith("--")}
+    assert not named or named <= set(re.findall(r"^    (\w+): ", file.read_text(), re.MULTILINE)), file
 
 
 def test_every_command_is_in_the_table() -> None:

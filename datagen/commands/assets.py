@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import get_args
 
 from multilight.datagen.commands.output import progress
+from multilight.datagen.errors import UserError
 from multilight.datagen.tables import print_table
 from multilight.datagen.text import did_you_mean, plain
 from multilight.scenes.assets.check import account, check_assets
@@ -32,12 +33,15 @@ def print_list(which: str | None, *, as_json: bool) -> int:
 def fetch(which: str | None) -> int:
     """Install one pack, or the default ones; says what cannot be had and returns 1 then."""
     failed = 0
-    for pack in (which,) if which else DEFAULT_PACKS:
-        try:
-            print(f"assets: {pack}: {fetch_pack(pack)}")
-        except AssetError as error:
-            failed += 1
-            print(plain(f"assets: {pack}: {error}"), file=sys.stderr)
+    packs = (which,) if which else DEFAULT_PACKS
+    with progress("packs", "fetching") as report:
+        for done, pack in enumerate(packs):
+            report(done, len(packs), f"fetching {pack}")
+            try:
+                print(f"assets: {pack}: {fetch_pack(pack)}")
+            except AssetError as error:
+                failed += 1
+                print(plain(f"assets: {pack}: {error}"), file=sys.stderr)
     return 1 if failed else 0
 
 
@@ -47,10 +51,12 @@ def check(which: str | None, *, as_json: bool) -> int:
     with progress("assets", "reading") as report:
         problems = check_assets(library, pack, report)
     found = [info for role in get_args(AssetRole) for info in library.list(role) if pack in (None, info.pack)]
+    if not found and not problems:
+        raise UserError(f"no model, sky or surface found in {which or 'the installed packs'}")
     accounts = {info.id: account(library, info) for info in found if info.as_made}
     if as_json:
         print(json.dumps({"assets": len(found), "accounts": accounts, "broken": dict(problems)}, indent=1))
-        return 1 if problems or not found else 0
+        return 1 if problems else 0
     for asset, said in accounts.items():
         for number, line in enumerate(said):
             print(plain(line if number else f"{asset}: {line}"))
@@ -59,7 +65,7 @@ def check(which: str | None, *, as_json: bool) -> int:
     remarks = sum(max(len(said) - 1, 0) for said in accounts.values())
     whole = f"{len(found)} assets, {len(problems)} broken" if problems else f"all {len(found)} assets ok"
     print(whole + (f", {remarks} remarks" if remarks else ""))
-    return 1 if problems or not found else 0
+    return 1 if problems else 0
 
 
 def _infos(library: AssetLibrary, pack: str | None) -> list[AssetInfo]:

@@ -15,6 +15,7 @@ from multilight.datagen.backends.choose import has_mitsuba, pick_renderer
 from multilight.datagen.backends.machine import llvm
 from multilight.datagen.backends.machine.fetch_llvm import fetch_llvm, has_apt, known_packages
 from multilight.datagen.backends.machine.variants import Choice, Gpu, choose, choose_variant, find_gpu, try_out
+from multilight.datagen.commands.output import progress
 from multilight.datagen.config.dataset import RendererName
 from multilight.datagen.tables import print_table
 from multilight.scenes.assets.cache import default_cache
@@ -83,7 +84,8 @@ def fetch() -> int:
         print(f"LLVM: not needed, {choice.why}")
         return 0
     try:
-        library = choice.library or fetch_llvm()
+        with progress("packages", "fetching LLVM, 130 MB"):
+            library = choice.library or fetch_llvm()
     except AssetError as error:
         print(f"LLVM: {error}", file=sys.stderr)
         return 1

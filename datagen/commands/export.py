@@ -25,12 +25,14 @@ class DtcMultilight(DtcExport):
 
     def run(self) -> int:
         """Write the roots and return the exit code."""
-        from multilight.datagen.commands.output import progress
+        from multilight.datagen.commands.output import print_written, progress
         from multilight.datagen.export.dtc.export import export_dtc
 
         with progress("views", "exporting") as report:
             outcome = export_dtc(self, report)
-        print(f"{self.out}: written {outcome.written}, kept {outcome.kept}, passed over {len(outcome.skipped)}")
+        print_written(self.out, f"views written {outcome.written}, kept {outcome.kept}")
+        if outcome.skipped:
+            print(f"passed over {len(outcome.skipped)} scenes:")
         for index, reason in outcome.skipped.items():
             print(plain(f"  scene {index}: {reason}"))
         return 0
@@ -77,13 +79,14 @@ class Usd(_Source):
 
     def run(self) -> int:
         """Write the stages and return the exit code."""
+        from multilight.datagen.commands.output import print_written
         from multilight.datagen.production.library import open_library_again
         from multilight.datagen.usd.write import export_usd
 
         with self.opened() as (source, report):
             library = open_library_again(source.record, Path(source.address), self.assets)
             made = export_usd(source, library, self.out, report, scene=self.scene)
-        print(f"{self.out}: {len(made)} stages")
+        print_written(self.out, f"{len(made)} stages")
         return 0
 
 
@@ -98,6 +101,7 @@ class Webdataset(_Source):
 
     def run(self) -> int:
         """Write the shards and return the exit code."""
+        from multilight.datagen.commands.output import print_written
         from multilight.datagen.export.webdataset.export import ShardOptions, export_webdataset
 
         if self.pairs < 1 or self.shard_mb < 1:
@@ -110,8 +114,8 @@ class Webdataset(_Source):
         if shards is None:
             print(f"{self.out}: nothing to do, all shards are there, as they were written")
             return 0
-        for split, files in shards.splits.items():
-            print(f"{split}: {shards.samples_of(split)} samples in {len(files)} shards")
+        told = [f"{split} {shards.samples_of(split)} in {len(files)} shards" for split, files in shards.splits.items()]
+        print_written(self.out, f"samples: {'; '.join(told)}")
         return 0
 
 
@@ -124,13 +128,14 @@ class _Captures(_Source):
 
     def write(self, kind: Literal["nerfstudio", "colmap"], one: "Write") -> int:
         """Write all captures with `one` and return the exit code."""
+        from multilight.datagen.commands.output import print_written
         from multilight.datagen.export.captures.capture import export_captures
 
         with self.opened() as (source, report):
             count = export_captures(
                 source, self.out, one, kind=kind, conditions=self.conditions, points=self.points, report=report
             )
-        print(f"{self.out}: {count} captures")
+        print_written(self.out, f"{count} captures")
         return 0
 
 
@@ -165,11 +170,12 @@ class Luxremix(_Source):
 
     def run(self) -> int:
         """Write the scenes and return the exit code."""
+        from multilight.datagen.commands.output import print_written
         from multilight.datagen.export.luxremix.export import export_luxremix
 
         with self.opened() as (source, report):
             outcome = export_luxremix(source, self.out, tar=self.tar, report=report)
-        print(f"{self.out}: {outcome.scenes} scenes, {outcome.layers} layers")
+        print_written(self.out, f"{outcome.scenes} scenes, {outcome.layers} layers")
         for index in outcome.unlit:
             print(f"  left out scene {index}: it has no light besides its environment")
         return 0

@@ -32,7 +32,8 @@ class Import:
         from multilight.datagen.files.outputs import check_folder
 
         if not self.file.is_file():
-            raise UserError(f"{self.file} does not exist; name the stage of `multilight export usd`, scene.usdc")
+            what = "is not a file" if self.file.exists() else "does not exist"
+            raise UserError(f"{self.file} {what}; name the stage of `multilight export usd`, scene.usdc")
         check_folder(self.out)
         from multilight.datagen.production.library import open_library
         from multilight.datagen.usd.read import read_stage

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -14,12 +15,14 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from multilight.datagen.report import Report
 from multilight.datagen.storage.source import repair_command
 from multilight.datagen.tables import print_table
-from multilight.datagen.text import duration, plain
+from multilight.datagen.text import duration, plain, size
 from multilight.datagen.verification.dataset import ANEW, Result, Verification
 from multilight.datagen.verification.views import CHECKS
 
 FIRST_LINE, LINES = 10.0, 60.0
 """Seconds to the first line of progress and from one to the next where there is no terminal."""
+SLOW = 0.1
+"""What is done a second below which it is counted by the minute."""
 MOST_NAMED = 10
 """Scenes that a row of the table of checks names."""
 
@@ -33,24 +36,34 @@ class _Meter:
     start: float
     done: float = 0.0
     total: float = 0.0
+    first: tuple[float, float] | None = None
+    """When something was done first, and how much; what comes before, getting ready or an earlier run, has no rate."""
 
     def update(self, done: float, total: float, note: str) -> None:
         self.done, self.total, self.note = done, total, note or self.note
+        if done and self.first is None:
+            self.first = time.monotonic(), done
 
     @property
     def elapsed(self) -> float:
-        return max(time.monotonic() - self.start, 1e-9)
+        return time.monotonic() - self.start
+
+    @property
+    def rate(self) -> float:
+        """How much is done a second; 0 where that is not known yet."""
+        since, before = self.first or (0.0, self.done)
+        return (self.done - before) / max(time.monotonic() - since, 1e-9)
 
     def count(self) -> str:
         """Say how much is done of how much, and how fast: `12/64 views, 0.45/s`."""
         if not self.total:
             return ""
-        rate = f", {self.done / self.elapsed:.3g}/s" if self.done else ""
-        return f"{self.done:.0f}/{self.total:.0f} {self.unit}{rate}"
+        rate = self.rate and (f", {self.rate:.3g}/s" if self.rate >= SLOW else f", {60.0 * self.rate:.3g}/min")
+        return f"{self.done:.0f}/{self.total:.0f} {self.unit}{rate or ''}"
 
     def left(self) -> str:
         """Say how long it will take if it goes on as it did."""
-        return duration(self.elapsed * (self.total - self.done) / self.done) if self.done else "unknown"
+        return duration((self.total - self.done) / self.rate) if self.rate else "unknown"
 
 
 @contextlib.contextmanager
@@ -74,7 +87,7 @@ def _bar(console: Console, meter: _Meter) -> Iterator[Report]:
         TimeElapsedColumn(),
         TextColumn("{task.fields[left]}"),
     )
-    with Progress(*columns, console=console) as bar:
+    with Progress(*columns, console=console, redirect_stdout=sys.stdout.isatty()) as bar:
         task = bar.add_task(meter.note, total=None, count="", left="elapsed")
 
         def report(done: float, total: float, note: str = "") -> None:
@@ -105,6 +118,12 @@ def _lines(console: Console, meter: _Meter) -> Iterator[Report]:
     finally:
         over.set()
         teller.join()
+
+
+def print_written(out: Path, what: str) -> None:
+    """Print what was written where, and how big it is."""
+    files = [out] if out.is_file() else [file for file in out.rglob("*") if file.is_file()]
+    print(plain(f"{out}: {what}, {size(sum(file.stat().st_size for file in files))}"))
 
 
 def print_verification(root: str, verification: Verification, *, as_json: bool) -> int:

@@ -22,7 +22,7 @@ class Pack:
 
     def run(self) -> int:
         """Pack what is missing and return the exit code."""
-        from multilight.datagen.commands.output import progress
+        from multilight.datagen.commands.output import print_written, progress
         from multilight.datagen.storage.pack import pack_dataset
 
         if self.workers is not None and self.workers < 1:
@@ -34,5 +34,5 @@ class Pack:
             print(f"{self.out}: nothing to do, all {packed.kept} scenes are there, as they were packed")
             return 0
         mean, native = packed.packed / packed.views / 1e6, packed.native / packed.views / 1e6
-        print(f"{self.out}: {packed.views} views, {mean:.2f} MB a view (native: {native:.2f} MB)")
+        print_written(self.out, f"{packed.views} views of {mean:.2f} MB (native: {native:.2f} MB)")
         return 0

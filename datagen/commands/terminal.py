@@ -29,6 +29,27 @@ class EndedError(BaseException):
         self.code = 128 + number
 
 
+class _Output(io.TextIOWrapper):
+    """Standard output without the warnings that OpenEXR's binding prints, word by word: they go to standard error."""
+
+    warns = False
+    before: io.TextIOWrapper
+
+    def write(self, text: str, /) -> int:
+        self.warns = self.warns or text.startswith("Warning: Exception raised")
+        if not self.warns:
+            return super().write(text)
+        self.warns = not text.endswith("\n")
+        return sys.stderr.write(text)
+
+
+def set_warnings_aside() -> None:
+    """Keep standard output to what the command itself says."""
+    if isinstance(out := sys.stdout, io.TextIOWrapper):
+        sys.stdout = _Output(out.buffer, out.encoding, out.errors, line_buffering=out.line_buffering)
+        sys.stdout.before = out  # whose end would close the buffer
+
+
 def prepare_streams() -> None:
     """Stand the null device in for standard streams that are closed: else the next file opened becomes one of them.
 

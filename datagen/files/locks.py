@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
-from multilight.datagen.errors import StoreError, UserError
+from multilight.datagen.errors import StoreError, UserError, reason_of
 from multilight.scenes.files.inside import OutsideError, held
 
 LOCK = ".lock"
@@ -28,7 +28,7 @@ def locked(root: Path) -> Iterator[None]:
     except OSError as error:
         if isinstance(error, BlockingIOError):
             raise UserError(f"{root} is being made by another process; wait for it or stop it first") from None
-        raise UserError(f"output folder {root} cannot be written: {error.strerror}; choose another --out") from None
+        raise UserError(f"output folder {root} cannot be written: {reason_of(error)}; choose another --out") from None
     with lock:
         try:
             yield

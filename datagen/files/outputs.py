@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from multilight.datagen.errors import UserError, full_disk_told
+from multilight.datagen.errors import UserError, full_disk_told, reason_of
 from multilight.scenes.files.whole import write_whole
 
 
@@ -42,4 +42,4 @@ def _told(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise UserError(f"{path} cannot be written: {error.strerror or error}; choose another place") from None
+        raise UserError(f"{path} cannot be written: {reason_of(error)}; choose another place") from None

@@ -9,7 +9,7 @@ from pathlib import Path
 import fsspec
 from fsspec import AbstractFileSystem
 
-from multilight.datagen.errors import StoreError, UserError
+from multilight.datagen.errors import StoreError, UserError, reason_of
 from multilight.scenes.files.inside import OutsideError, held, inside, plain_name
 
 
@@ -43,7 +43,7 @@ class Place:
         except StoreError:
             raise
         except Exception as error:  # each backend has its own errors for a lost connection or a refused key
-            raise StoreError(f"{shown} cannot be read: {error or type(error).__name__}") from None
+            raise StoreError(f"{shown} cannot be read: {reason_of(error)}") from None
 
     @contextlib.contextmanager
     def local(self, name: str) -> Iterator[Path]:

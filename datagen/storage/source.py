@@ -187,7 +187,7 @@ def select(table: pl.DataFrame, where: str) -> pl.DataFrame:
     try:
         return table.filter(pl.sql_expr(where))
     except pl.exceptions.PolarsError as error:
-        reason = str(error).splitlines()[0].partition(";")[0]
+        reason = str(error).splitlines()[0].partition("; valid columns")[0]
         missing = re.search('column "(.+)"', reason)
         near = did_you_mean(missing[1], table.columns) if missing else ""
         if missing and not near and re.search(rf"[=(,]\s*{re.escape(missing[1])}", where):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import polars as pl
 
-from multilight.datagen.errors import StoreError
+from multilight.datagen.errors import StoreError, reason_of
 from multilight.datagen.storage.manifest import MANIFEST, parse_manifest, read_manifest, remedy
 from multilight.datagen.storage.packed import PackedView, pack_view, read_packed
 from multilight.datagen.storage.records import SceneRecord, view_file
@@ -150,7 +150,7 @@ def _read_visible(path: Path) -> pl.DataFrame:
     try:
         return pl.read_parquet(path, columns=["scene", "view", "object", "pixels"])
     except (OSError, pl.exceptions.PolarsError) as error:
-        raise StoreError(f"{path} cannot be read: {error}") from None
+        raise StoreError(f"{path} cannot be read: {reason_of(error)}") from None
 
 
 def _seen_before(source: DatasetSource) -> pl.DataFrame:

@@ -16,6 +16,7 @@ from torch import nn
 from multilight.datagen.config.loading import Values, joined, validated
 from multilight.datagen.errors import UserError
 from multilight.datagen.files.outputs import check_folder
+from multilight.datagen.report import Report, silent
 from multilight.datagen.storage.source import open_dataset
 from multilight.datagen.storage.store import write_text
 from multilight.model.ablations.settings import AblationSettings
@@ -197,31 +198,38 @@ def base_values(settings: AblationSettings) -> Values:
     return values | {"weights_2d": str(settings.weights_2d), "views": 3, "side": side, "learning_rate": 5e-4}
 
 
-def ablate(settings: AblationSettings, base: Values) -> tuple[list[Run], Evaluation]:
+def ablate(settings: AblationSettings, base: Values, report: Report = silent) -> tuple[list[Run], Evaluation]:
     """Train what is not trained yet, and evaluate every variant of every seed on the same pictures.
 
-    `base` is what `base_values` returns. Goes on where an earlier call was stopped. Raises `UserError` where
-    `settings.out` holds another comparison.
+    `base` is what `base_values` returns; `report` is told of trainings, and the comparison as one more part. Goes on
+    where an earlier call was stopped. Raises `UserError` where `settings.out` holds another comparison.
     """
     groups = _groups(settings)
     _claim(settings, base)
     plans = [(seed, *each) for seed in range(settings.seeds) for each in variants(settings, seed).items()]
-    runs = []
-    for number, (seed, name, values) in enumerate(plans):
-        print(f"{number + 1} of {len(plans)}: {name}, seed {seed}", flush=True)
-        runs.append(_trained(settings, name, seed, joined(base, values)))
-    return runs, evaluate(groups, _methods(settings, base, runs))
+    runs: list[Run] = []
+    said = ""
+
+    def part(done: float, total: float, note: str = "") -> None:
+        report(len(runs) + done / (total or 1.0), len(plans) + 1, said)
+
+    for seed, name, values in plans:
+        said = f"training {name}, seed {seed}"
+        print(said, flush=True)
+        runs.append(_trained(settings, name, seed, joined(base, values), part))
+    said = "comparing"
+    return runs, evaluate(groups, _methods(settings, base, runs), report=part)
 
 
-def _trained(settings: AblationSettings, name: str, seed: int, values: Values) -> Run:
+def _trained(settings: AblationSettings, name: str, seed: int, values: Values, report: Report) -> Run:
     folder = settings.out / "runs" / f"{slug(name, '-')}-{seed}"
     values = joined(values, {"out": folder, "seed": seed, "data": {"seed": seed}})
     network: nn.Module
     if settings.name == "order":
-        found = train_scenes(validated(values, SceneTrainingConfig, settings.name))
+        found = train_scenes(validated(values, SceneTrainingConfig, settings.name), report=report)
         network = load_network3d(folder / FINISHED)
     else:
-        found = train(validated(values, TrainingConfig, settings.name))
+        found = train(validated(values, TrainingConfig, settings.name), report=report)
         network = load_network(folder / FINISHED)
     progress = checkpoint_progress(folder / "checkpoints")
     parameters = sum(p.numel() for p in network.parameters())

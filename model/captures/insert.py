@@ -77,6 +77,7 @@ def harmonize_capture(
         depth = depth_from_metres(inserted.z_depths[number])
         alone.append(harmonize(network, composite, background, depth, mask=mask) if seen else composite)
         report(number + 1, len(capture.images))
+    report(len(capture.images), len(capture.images), "harmonizing all views alike")
     single = np.stack(alone)
     device = next(network.parameters()).device
     stage3d = (network3d or Compositing3D(SLIM3D).eval()).to(device)

@@ -1,13 +1,13 @@
 """From the files of a capture to those of the result."""
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
 
 from multilight.datagen.errors import full_disk_told
 from multilight.datagen.files.outputs import written
+from multilight.datagen.report import Report
 from multilight.datagen.storage.store import write_text
 from multilight.model.captures.assets import load_asset
 from multilight.model.captures.capture import Capture, check_alignment
@@ -25,31 +25,28 @@ from multilight.model.networks.checkpoint import load_network, load_network3d
 from multilight.scenes.gaussians.ply import write_gaussians
 
 
-def insert_into_files(wanted: Insertion) -> None:
+def insert_into_files(wanted: Insertion, report: Report) -> str:
     """Insert an object and write composites/, single/, harmonized/, scene.ply, placement.json and orbit.mp4.
 
-    Raises `UserError` for what the user can mend and `wanted.check` cannot know.
+    Returns in words what was made. Raises `UserError` for what the user can mend and `wanted.check` cannot know.
     """
-    out, side, frames = wanted.out, wanted.side, wanted.frames
+    out, frames = wanted.out, wanted.frames
+    report(0, 0, "reading the capture")
     network = load_network(wanted.weights).to(chosen_device(wanted.device))
     stage3d = None if wanted.weights_3d is None else load_network3d(wanted.weights_3d)
     asset = load_asset(wanted.asset)
     bare = read_capture(wanted.capture, max_side=wanted.max_side, every=wanted.every)
+    views = len(bare.names)
+    report(0, 0, f"finding room for the object in {views} views")
     capture = with_depth(bare, wanted.gaussians, wanted.depth_model)
     if bare.z_depths is not None or wanted.gaussians is not None:
         check_alignment(capture)
     pose = placed(capture, asset, wanted.place)
     inserted = insert_object(capture, PlacedObject(asset, pose))
     seen = int((inserted.coverage.max(axis=(1, 2)) > 0).sum())
-    _tell(f"{len(capture.names)} views of {capture.images.shape[2]} x {capture.images.shape[1]}, object in {seen}")
-    result = harmonize_capture(
-        capture,
-        inserted,
-        network,
-        stage3d,
-        side=side,
-        report=lambda done, total, note="": _tell(f"view {done}/{total}"),
-    )
+    report(0, views, "harmonizing view by view")
+    result = harmonize_capture(capture, inserted, network, stage3d, side=wanted.side, report=report)
+    report(views, views, f"writing, {frames} frames of the orbit last")
     with full_disk_told(out):
         _write(out, capture, inserted, result)
         placement = {"world_from_asset": pose.tolist(), "asset": wanted.asset, "views": list(capture.names)}
@@ -60,6 +57,7 @@ def insert_into_files(wanted: Insertion) -> None:
             shown = (render_gaussians(camera, result.gaussians) for camera in orbit)
             with written(out / "orbit.mp4") as work:
                 write_video(work, shown, (orbit[0].width, orbit[0].height))
+    return f"{views} views of {capture.images.shape[2]} x {capture.images.shape[1]}, the object in {seen} of them"
 
 
 def _write(out: Path, capture: Capture, inserted: Inserted, result: Harmonized) -> None:
@@ -70,7 +68,3 @@ def _write(out: Path, capture: Capture, inserted: Inserted, result: Harmonized) 
             write_picture(out / folder / Path(name).with_suffix(".png"), view)
     with written(out / "scene.ply") as work:
         write_gaussians(work, result.gaussians)
-
-
-def _tell(line: str) -> None:
-    print(line, file=sys.stderr)

@@ -29,16 +29,19 @@ class Ablate(AblationSettings):
 
     def run(self) -> int:
         """Train, evaluate, write and print the table, and return the exit code."""
-        self._check()
-        from multilight.model.ablations.run import ablate, base_values
-        from multilight.model.ablations.table import write_tables
+        self.check()
+        from multilight.datagen.commands.output import print_written, progress
 
-        runs, found = ablate(self, base_values(self))
+        with progress("parts", "starting") as report:
+            from multilight.model.ablations.run import ablate, base_values
+            from multilight.model.ablations.table import write_tables
+
+            runs, found = ablate(self, base_values(self), report)
         print(write_tables(TITLES[self.name], runs, found, self._about(found), self.out))
-        print(f"table: {self.out / 'table.md'}")
+        print_written(self.out, f"table.md, table.json; {len(runs)} trainings, {len(found.frames)} frames compared")
         return 0
 
-    def _check(self) -> None:
+    def check(self) -> None:
         """Raise `UserError` for whatever can be known to be wrong before the work."""
         from multilight.datagen.files.outputs import check_folder
         from multilight.model.configs.checks import LEAST_SIDE, MOST_SIDE, check_range, check_splits

@@ -10,7 +10,9 @@ from multilight.datagen.errors import UserError
 from multilight.model.evaluation.settings import CaseSettings
 
 if TYPE_CHECKING:
+    from multilight.datagen.report import Report
     from multilight.model.evaluation.cases import LazyGroup
+    from multilight.model.evaluation.run import Evaluation
 
 
 @dataclass
@@ -43,32 +45,38 @@ class Evaluate:
     def run(self) -> int:
         """Evaluate, write the pages, print the main table, and return the exit code."""
         self._check()
-        from multilight.datagen.commands.output import progress
+        from multilight.datagen.commands.output import print_written, progress
+
+        with progress("objects", "starting") as report:
+            found = self._compared(report)
+        if not found.frames:
+            raise UserError(f"--size {self.cases.size}: no picture shows enough of its object; choose a larger one")
+        from multilight.model.evaluation.page import markdown, tables_of, write_evaluation
+
+        about = self._about(len(found.frames))
+        write_evaluation(found, about, self.out)
+        print(markdown(tables_of(found), about))
+        print_written(self.out, f"index.html, table.md, evaluation.json; {len(found.frames)} frames")
+        return 0
+
+    def _compared(self, report: "Report") -> "Evaluation":
+        """Harmonize all pictures with all methods, and compare."""
         from multilight.model.evaluation.lpips import Lpips
         from multilight.model.evaluation.method3d import scene_method
-        from multilight.model.evaluation.page import markdown, tables_of, write_evaluation
         from multilight.model.evaluation.run import evaluate, methods_of
         from multilight.model.inference.harmonize import network_harmonizer
 
         groups = self._groups()
-        weights = self.weights
-        models = {path.stem: network_harmonizer(path, self.device) for path in weights}
+        models = {path.stem: network_harmonizer(path, self.device) for path in self.weights}
         methods = methods_of(models)
         if self.weights_3d is not None:
-            stem = weights[-1].stem
+            stem = self.weights[-1].stem
             for steps in (0, *self.refine_iterations):
                 name = f"{stem} + 3D, {steps} refined" if steps else f"{stem} + 3D"
-                methods[name] = scene_method(weights[-1], self.weights_3d, self.device, refine_iterations=steps)
+                methods[name] = scene_method(self.weights[-1], self.weights_3d, self.device, refine_iterations=steps)
         lpips = Lpips.load(self.lpips) if self.lpips else None
-        with progress("objects", "comparing") as report:
-            found = evaluate(groups, methods, lpips=lpips, report=report)
-        if not found.frames:
-            raise UserError(f"--size {self.cases.size}: no picture shows enough of its object; choose a larger one")
-        about = self._about(weights, len(found.frames))
-        write_evaluation(found, about, self.out)
-        print(markdown(tables_of(found), about))
-        print(f"evaluation: {self.out / 'index.html'}")
-        return 0
+        report(0, len(groups), "comparing")
+        return evaluate(groups, methods, lpips=lpips, report=report)
 
     def _check(self) -> None:
         """Raise `UserError` for whatever can be known to be wrong before the work."""
@@ -114,7 +122,7 @@ class Evaluate:
         assert self.dir is not None
         return dataset_groups(self.dir, self.cases)
 
-    def _about(self, weights: tuple[Path, ...], frames: int) -> dict[str, str]:
+    def _about(self, frames: int) -> dict[str, str]:
         """Say what was evaluated on what."""
         import torch
 
@@ -126,4 +134,4 @@ class Evaluate:
         if self.dir is not None:
             size = f"{self.cases.size} x {self.cases.size}"
             facts |= {"splits": ", ".join(self.cases.splits), "seed": str(self.cases.seed), "size": size}
-        return facts | {f"weights {path.stem}": file_sha256(weights_file(path))[:12] for path in weights}
+        return facts | {f"weights {path.stem}": file_sha256(weights_file(path))[:12] for path in self.weights}

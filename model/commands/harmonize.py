@@ -19,6 +19,7 @@ class Harmonize(Files):
 
     def run(self) -> int:
         """Harmonize and return the exit code."""
+        from multilight.datagen.commands.output import print_written, progress
         from multilight.model.configs.ready import check_device, weights_config
         from multilight.model.configs.stage2d import NetworkConfig
         from multilight.model.inference.pictures import check_picture, write_picture
@@ -28,8 +29,10 @@ class Harmonize(Files):
         check_device(self.device)
         weights_config(self.weights, NetworkConfig)
         pictures = read_files(self)
-        from multilight.model.inference.harmonize import network_harmonizer
+        with progress("pictures", "harmonizing"):
+            from multilight.model.inference.harmonize import network_harmonizer
 
-        write_picture(self.out, network_harmonizer(self.weights, self.device)(*pictures))
-        print(f"harmonized: {self.out}")
+            picture = network_harmonizer(self.weights, self.device)(*pictures)
+        write_picture(self.out, picture)
+        print_written(self.out, f"{picture.shape[1]} x {picture.shape[0]} pixels, harmonized")
         return 0

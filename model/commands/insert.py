@@ -13,8 +13,11 @@ class Insert(Insertion):
     def run(self) -> int:
         """Insert, harmonize, write, and return the exit code."""
         self.check()
-        from multilight.model.captures.run import insert_into_files
+        from multilight.datagen.commands.output import print_written, progress
 
-        insert_into_files(self)
-        print(f"inserted: {self.out}")
+        with progress("views", "starting") as report:
+            from multilight.model.captures.run import insert_into_files
+
+            made = insert_into_files(self, report)
+        print_written(self.out, made)
         return 0

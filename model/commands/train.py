@@ -1,5 +1,7 @@
 """`multilight train`: learn from a dataset."""
 
+import os
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -33,9 +35,11 @@ class Train:
 
     def run(self) -> int:
         """Train and return the exit code."""
+        from multilight.datagen.commands.output import progress
         from multilight.datagen.config.loading import read_values, validated
         from multilight.datagen.config.table import as_toml
         from multilight.datagen.files.outputs import check_folder
+        from multilight.datagen.report import silent
         from multilight.model.configs.checks import check_training
         from multilight.model.configs.ready import config_file
         from multilight.model.configs.stage2d import TrainingConfig
@@ -50,12 +54,14 @@ class Train:
             return 0
         check_folder(config.out)
         check_training(config)
-        if isinstance(config, SceneTrainingConfig):
-            from multilight.model.training.stage3d import train_scenes
+        first = os.environ.get("RANK", "0") == "0"  # of torchrun's processes
+        with progress("steps", "starting") if first else nullcontext(silent) as report:
+            if isinstance(config, SceneTrainingConfig):
+                from multilight.model.training.stage3d import train_scenes
 
-            train_scenes(config, fresh=self.fresh)
-        else:
-            from multilight.model.training.stage2d import train
+                train_scenes(config, fresh=self.fresh, report=report)
+            else:
+                from multilight.model.training.stage2d import train
 
-            train(config, fresh=self.fresh)
+                train(config, fresh=self.fresh, report=report)
         return 0

@@ -36,7 +36,7 @@ class Lpips:
         try:
             weights = torch.load(path, map_location="cpu", weights_only=True)
         except Exception as error:  # pickles fail in many ways
-            raise UserError(f"{path} cannot be read as a torch state dict: {str(error).splitlines()[0]}") from None
+            raise UserError(f"{path} cannot be read as weights that torch saved: {type(error).__name__}") from None
         shape = tuple(weights["features.0.weight"].shape) if "features.0.weight" in weights else ()
         net = {(64, 3, 3, 3): "vgg", (64, 3, 11, 11): "alex"}.get(shape, "")
         wanted = [f"features.{n}.{part}" for stage in _stages(net) for n in stage for part in ("weight", "bias")]

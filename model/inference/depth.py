@@ -73,7 +73,8 @@ class DepthModel:
         try:
             session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
         except Exception as error:  # onnxruntime has an exception class for each of its codes
-            raise UserError(f"depth model {path} cannot be opened: {str(error).splitlines()[0]}") from None
+            reason = str(error).splitlines()[0].rpartition(" : ")[2]
+            raise UserError(f"depth model {path} cannot be opened: {reason}") from None
         shapes = [put.shape for put in session.get_inputs()]
         if len(shapes) != 1 or len(shapes[0]) != 4 or shapes[0][1] not in (3, "3"):
             raise UserError(f"depth model {path} has inputs of shape {shapes}; expected one of 1 x 3 x H x W")

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps, UnidentifiedImageError
 
-from multilight.datagen.errors import UserError
+from multilight.datagen.errors import UserError, reason_of
 from multilight.datagen.files.outputs import check_file, written
 from multilight.scenes.arrays import Float32, UInt8
 from multilight.scenes.files.limits import open_picture, read_npy
@@ -22,7 +22,7 @@ def opened(path: Path) -> Image.Image:
     except UnidentifiedImageError:
         raise UserError(f"{path} is not a picture that can be read; use PNG, JPEG, TIFF or WebP") from None
     except (OSError, SyntaxError, ValueError) as error:
-        raise UserError(f"{path} cannot be read: {error}") from None
+        raise UserError(f"{path} cannot be read: {reason_of(error)}") from None
     return image
 
 
@@ -48,7 +48,7 @@ def read_depth(path: Path) -> Float32:
         try:
             depth = read_npy(path)
         except (OSError, ValueError) as error:
-            raise UserError(f"depth {path} cannot be read: {error}") from None
+            raise UserError(f"depth {path} cannot be read: {reason_of(error)}") from None
     else:
         depth = np.asarray(opened(path))
     depth = np.squeeze(np.asarray(depth, np.float32))

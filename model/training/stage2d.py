@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from multilight.datagen.files.outputs import check_folder
+from multilight.datagen.report import Report, silent
 from multilight.model.configs.stage2d import TrainingConfig
 from multilight.model.device import chosen_device
 from multilight.model.networks.compositing2d import Compositing2D
@@ -17,7 +18,7 @@ from multilight.model.training.batches import ALONE, Batch, Process, stage_at, t
 from multilight.model.training.trainer import Images, Trainer, remove_run
 
 
-def train(config: TrainingConfig, *, fresh: bool = False) -> dict[str, float]:
+def train(config: TrainingConfig, *, fresh: bool = False, report: Report = silent) -> dict[str, float]:
     """Train, and write the averaged weights to `model.safetensors`; returns the last validation.
 
     Goes on from the newest checkpoint in `config.out`, unless `fresh`. Raises `UserError` for data that cannot be
@@ -29,7 +30,7 @@ def train(config: TrainingConfig, *, fresh: bool = False) -> dict[str, float]:
             remove_run(config)
         if process.world > 1:
             torch.distributed.barrier()
-        return Trainer2D(config, device, process).run()
+        return Trainer2D(config, device, process).run(report)
 
 
 class Trainer2D(Trainer[Batch]):

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from multilight.datagen.files.outputs import check_folder
+from multilight.datagen.report import Report, silent
 from multilight.model.configs.stage3d import SceneTrainingConfig
 from multilight.model.device import chosen_device
 from multilight.model.networks.checkpoint import load_network
@@ -54,7 +55,7 @@ class Trainer3D(Trainer[SceneSample]):
         return harmonize_scene(network, sample.scene, sample.composite, harmonized, sample.background)
 
 
-def train_scenes(config: SceneTrainingConfig, *, fresh: bool = False) -> dict[str, float]:
+def train_scenes(config: SceneTrainingConfig, *, fresh: bool = False, report: Report = silent) -> dict[str, float]:
     """Train the 3D stage, and write the averaged weights to `model.safetensors`; returns the last validation.
 
     Goes on from the newest checkpoint in `config.out`, unless `fresh`. Raises `UserError` for weights or data that
@@ -63,4 +64,4 @@ def train_scenes(config: SceneTrainingConfig, *, fresh: bool = False) -> dict[st
     check_folder(config.out)
     if fresh:
         remove_run(config)
-    return Trainer3D(config, chosen_device(config.device)).run()
+    return Trainer3D(config, chosen_device(config.device)).run(report)

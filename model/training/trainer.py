@@ -7,13 +7,15 @@ import signal
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Generic, TypeVar
 
 import torch
 from torch import Tensor, nn
 
 from multilight.datagen.errors import UserError
+from multilight.datagen.report import Report, silent
+from multilight.datagen.text import duration, size
 from multilight.model.configs.stage2d import TrainingConfig
 from multilight.model.networks.checkpoint import (
     Progress,
@@ -50,6 +52,7 @@ class Trainer(ABC, Generic[Sample]):
         self.stage = 0
         self.checkpoints = config.out / "checkpoints"
         self.progress = Progress()
+        self._show: Report = silent
         if path := newest_checkpoint(self.checkpoints):
             self.progress = load_checkpoint(
                 path, config, model=self.network, average=self.average, optim=self.optimizer
@@ -86,9 +89,13 @@ class Trainer(ABC, Generic[Sample]):
             torch.distributed.broadcast(done, src=0)
         return float(done)
 
-    def run(self) -> dict[str, float]:
-        """Train to the end, write the averaged weights and return the last validation [dB]."""
+    def run(self, report: Report = silent) -> dict[str, float]:
+        """Train to the end, write the averaged weights and return the last validation [dB].
+
+        `report` is told of steps, as many as there will be at the present rate where the training goes by the clock.
+        """
         log = Log(self.config.out, quiet=self.process.rank > 0)
+        self._show = report
         parameters = sum(p.numel() for p in self.network.parameters())
         log.line(
             f"training {parameters / 1e6:.2f} M parameters on {self.device.type}, "
@@ -96,6 +103,7 @@ class Trainer(ABC, Generic[Sample]):
         )
         try:
             validation = self._validation() if self.process.rank == 0 else ()
+            self._tell("training")
             with _stop_asked() as asked:
                 self._steps(log, validation, asked)
             if asked.is_set():
@@ -106,7 +114,10 @@ class Trainer(ABC, Generic[Sample]):
             log.close()
         if self.process.rank == 0:
             save_network(self.config.out / FINISHED, self.average, self.config.network, self._about(found))
-            log.line(f"weights: {self.config.out / FINISHED}")
+            log.line(
+                f"{self.config.out / FINISHED}: {size((self.config.out / FINISHED).stat().st_size)}, "
+                f"{self.progress.step} steps in {duration(self.progress.seconds)}, {_in_words(found)}"
+            )
         return found
 
     def _steps(self, log: Log, validation: Iterable[Sample], asked: threading.Event) -> None:
@@ -115,6 +126,7 @@ class Trainer(ABC, Generic[Sample]):
         while (done := self.done()) < 1.0 and not asked.is_set():
             figures = self._step(done)
             self.progress = Progress(self.progress.step + 1, before + time.monotonic() - started)
+            self._tell()
             if self.progress.step % self.config.log_every == 0:
                 self._report(log, figures, logged)
                 logged = self.progress
@@ -150,14 +162,16 @@ class Trainer(ABC, Generic[Sample]):
         return {**{name: value.mean().detach() for name, value in losses.items()}, "norm": norm, "rate": rate}
 
     def _report(self, log: Log, figures: dict[str, Tensor | float], since: Progress) -> None:
-        now, stage, done = self.progress, self.config.stages[self.stage], max(self.done(), 1e-9)
+        now, stage = self.progress, self.config.stages[self.stage]
         rate = (now.step - since.step) * stage.batch / max(now.seconds - since.seconds, 1e-9)
         values = {name: float(value) for name, value in figures.items()} | {"pictures_s": rate}
         log.scalars({f"train/{name}": value for name, value in values.items()}, now.step)
-        log.line(
-            f"step {now.step}  loss {values['loss']:.5f}  norm {values['norm']:.2f}  lr {values['rate']:.1e}  "
-            f"{stage.size} px  {rate:.1f} samples/s  {now.seconds * (1.0 - done) / done / 60:.1f} min left"
-        )
+        self._tell(f"training, {stage.size} px, loss {values['loss']:.4f}")
+
+    def _tell(self, note: str = "") -> None:
+        step, seconds, minutes = self.progress.step, self.progress.seconds, self.config.minutes
+        total = self.config.steps or round(step * max(60.0 * (minutes or 0.0) / seconds, 1.0) if seconds else step)
+        self._show(step, total, note)
 
     def _save(self, log: Log, validation: Iterable[Sample]) -> dict[str, float]:
         """Write a checkpoint; validate and show samples, where there are any."""
@@ -166,12 +180,11 @@ class Trainer(ABC, Generic[Sample]):
         save_checkpoint(
             self.checkpoints, self.config, self.progress, model=self.network, average=self.average, optim=self.optimizer
         )
-        step = self.progress.step
+        self._tell("validating")
         if found := self._validate(log, validation):
-            log.scalars({f"validation/{name}": value for name, value in found.items()}, step)
-            first, *_, last = found.values()
-            shown = ", ".join(f"{name} {value:.2f} dB" for name, value in found.items())
-            log.line(f"step {step}  validation, object and effect: {shown} ({last - first:+.2f})")
+            log.scalars({f"validation/{name}": value for name, value in found.items()}, self.progress.step)
+            log.line(f"step {self.progress.step}: {_in_words(found)}")
+        self._tell("training")
         return found
 
     @torch.no_grad()
@@ -198,6 +211,15 @@ class Trainer(ABC, Generic[Sample]):
             "validation_db": ", ".join(f"{name} {value:.2f}" for name, value in found.items()),
             "torch": torch.__version__,
         }
+
+
+def _in_words(found: Mapping[str, float]) -> str:
+    """Say what a validation found [dB], by method; the network is the last."""
+    if not found:
+        return "without validation"
+    first, *_, last = found.values()
+    told = ", ".join(f"{name} {value:.2f} dB" for name, value in found.items())
+    return f"validation, object and effect: {told} ({last - first:+.2f})"
 
 
 def remove_run(config: TrainingConfig) -> None:

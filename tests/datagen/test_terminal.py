@@ -1,6 +1,7 @@
 """Commands in a hostile terminal: closed streams, readers that leave, full outputs, signals, refused memory."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -75,6 +76,20 @@ def test_terminals_and_locales_of_other_alphabets(spheres_dataset: Path, tmp_pat
     code += f"write_text(Path('{tmp_path}/t'), 'Gr\\u00fc\\u00dfe')"
     assert shell(f'{plain} {sys.executable} -X utf8=0 -c "{code}"').stderr == ""
     assert (tmp_path / "t").read_text(encoding="utf-8") == "Grüße"
+
+
+def test_native_warnings_stay_out_of_standard_output(spheres_dataset: Path, tmp_path: Path) -> None:
+    """OpenEXR's binding prints its own where it cannot decode a part."""
+    shutil.copytree(spheres_dataset, tmp_path / "d")
+    path = tmp_path / "d" / "scenes" / "000000" / "views" / "00.exr"
+    content = bytearray(path.read_bytes())
+    middle = len(content) // 2
+    content[middle : middle + 64] = bytes(byte ^ 0x5A for byte in content[middle : middle + 64])
+    path.write_bytes(content)
+    done = shell(f"{RUN} mix {tmp_path / 'd'} --out {tmp_path / 'm.png'}")
+    assert (done.returncode, done.stdout) == (1, "")
+    assert "Warning: " in done.stderr
+    assert "00.exr cannot be decoded" in done.stderr
 
 
 def test_output_that_is_full_is_one_line(spheres_dataset: Path) -> None:

@@ -60,6 +60,9 @@ def export_captures(
         settings["conditions"] = conditions
     with making(out, kind, source, settings) as copy:
         for done, record in enumerate(source.scenes()):
+            if (conditions or 0) > len(record.conditions):
+                most = len(record.conditions)
+                raise UserError(f"--conditions {conditions} must be 1 to {most}, as many as scene {record.index} has")
             chosen = record.conditions[:conditions]
             scene = f"scene_{record.index:06d}"
             with source.passing_over(record.index):
