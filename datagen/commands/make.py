@@ -28,7 +28,7 @@ def config_key(key: str) -> Any:
 
 @dataclass(kw_only=True)
 class Settings:
-    """What `dataset`, `scene` and `plan` share; what is not given is as the configuration file says, else the default."""
+    """What `dataset`, `scene` and `plan` share; what is not given is the configuration file's, else the default."""
 
     preset: Preset | None = None
     """Named starting point; `multilight config show PRESET` prints it. What else is given goes over it."""
