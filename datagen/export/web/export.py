@@ -7,7 +7,7 @@ from multilight.datagen.report import Report
 from multilight.datagen.storage.copies import making
 from multilight.datagen.storage.source import DatasetSource
 from multilight.datagen.storage.store import scene_folder
-from multilight.datagen.view.content import PREVIEW, dataset_json, preview, scene_json, view_files, view_folder
+from multilight.datagen.view.content import PREVIEW, ViewFiles, dataset_json, preview, scene_json, view_folder
 from multilight.datagen.view.server import PAGE, SITE
 
 SQUEEZED = 6
@@ -26,7 +26,7 @@ def export_web(source: DatasetSource, out: Path, report: Report) -> int:
                         (work / "scene.json").write_bytes(scene_json(record))
                         (work / PREVIEW).write_bytes(preview(source, record.index))
                         for number, view in enumerate(source.views(record)):
-                            files = view_files(record, view)
+                            files = ViewFiles(record, view)
                             (work / view_folder(number)).mkdir(parents=True)
                             for name in files.names():
                                 (work / view_folder(number) / name).write_bytes(files.file(name, SQUEEZED))
