@@ -9,6 +9,7 @@ from multilight.datagen.storage.source import DatasetSource
 from multilight.datagen.storage.store import scene_folder
 from multilight.datagen.view.content import PREVIEW, ViewFiles, dataset_json, preview, scene_json, view_folder
 from multilight.datagen.view.server import PAGE, SITE
+from multilight.scenes.files.whole import write_whole
 
 SQUEEZED = 6
 """Level of zlib; 9 is not smaller."""
@@ -38,6 +39,7 @@ def export_web(source: DatasetSource, out: Path, report: Report) -> int:
         contents["data/dataset.json"] = dataset_json(source, made, source.address.rpartition("/")[2])
         for name, content in contents.items():
             if not (out / name).is_file() or (out / name).read_bytes() != content:
-                (out / name).write_bytes(content)
+                with write_whole(out / name) as work:
+                    work.write_bytes(content)
         copy.finish(*contents)
     return len(made)
