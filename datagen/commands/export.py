@@ -199,9 +199,8 @@ class Web(_Source):
             if missing := sorted(set(self.scenes) - set(source.indices)):
                 raise UserError(f"--scenes {missing[0]} is not in {self.dir}, or not among those of --where")
             count = export_web(source, self.out, report)
-        print(
-            f"{self.out}: {count} scenes; look at it with: python3 -m http.server --directory {shlex.quote(str(self.out))}"
-        )
+        folder = shlex.quote(str(self.out))
+        print(f"{self.out}: {count} scenes; look at it with: python3 -m http.server --directory {folder}")
         return 0
 
 

@@ -13,8 +13,7 @@ overflow. Layers without an object come as their bits exclusive-or those of `all
 
 import json
 import zlib
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -38,24 +37,68 @@ MOST_PREVIEW = 1 << 24
 """Bytes of a scene's preview."""
 
 
-@dataclass(frozen=True)
 class ViewFiles:
-    """The files of one view by name, yet to be squeezed."""
+    """The files of one view; what is not asked for is not laid out. Layers come in the order of the rig."""
 
-    about: dict[str, Any]
-    arrays: Mapping[str, Mapping[str, NDArray[Any]]]
+    def __init__(self, record: SceneRecord, view: ViewData) -> None:
+        """Take a view as it was read."""
+        self._view, self._order = view, [view.lights.index(name) for name in record.rig.names]
+        self._scale = _scales(view.variants.values())[self._order]
+        self._boxes = {name: _box(coverage) for name, coverage in view.coverage.items()}
+        self._objects = {f"object_{name}.gz": name for name in view.coverage}
 
     def names(self) -> list[str]:
         """Name all files."""
-        return ["view.json", *self.arrays]
+        return ["view.json", "all.gz", *self._objects, "geometry.gz"]
 
     def file(self, name: str, level: int) -> bytes:
         """Return a file's content; arrays squeezed at a level of zlib, of which 0 only wraps. Raises `KeyError`."""
         if name == "view.json":
-            return _json(self.about)
+            return self._about()
         squeeze = zlib.compressobj(level, wbits=GZIP)
-        parts = [squeeze.compress(np.ascontiguousarray(array)) for array in self.arrays[name].values()]
+        parts = [squeeze.compress(np.ascontiguousarray(array)) for array in self._arrays(name)]
         return b"".join([*parts, squeeze.flush()])
+
+    def _about(self) -> bytes:
+        """Say sizes, where objects are, and the bytes of each file."""
+        height, width = self._view.geometry.z_depth.shape
+        texels, pixels = 3 * len(self._order), height * width
+        sizes = {"all.gz": 2 * texels * pixels, "geometry.gz": 18 * pixels}
+        objects = []
+        for file, name in self._objects.items():
+            top, bottom, left, right = self._boxes[name]
+            covered = (bottom - top) * (right - left)
+            sizes[file] = 2 * texels * (pixels + covered) + 2 * covered
+            share = round(float(self._view.coverage[name].mean()), 6)
+            objects.append({"name": name, "box": [left, top, right - left, bottom - top], "coverage": share})
+        depth = depth_range(self._view.geometry.z_depth)
+        about = {"width": width, "height": height, "scale": self._scale.tolist(), "depth": depth}
+        return _json(about | {"objects": objects, "bytes": sizes})
+
+    def _arrays(self, file: str) -> Iterator[NDArray[Any]]:
+        if file == "all.gz":
+            yield self._halves(ALL)
+        elif file == "geometry.gz":
+            geometry = self._view.geometry
+            yield geometry.z_depth.astype("<f4")
+            yield geometry.normal_world.astype("<f2")
+            yield geometry.albedo.astype("<f2")
+            yield geometry.instance_id.astype("<u2")
+        else:
+            name = self._objects[file]
+            top, bottom, left, right = self._boxes[name]
+            yield self._halves(Variant.without(name)).view("<u2") ^ self._halves(ALL).view("<u2")
+            yield self._halves(Variant.foreground(name))[:, top:bottom, left:right]
+            yield self._view.coverage[name][top:bottom, left:right].astype("<f2")
+
+    def _halves(self, variant: Variant) -> NDArray[np.float16]:
+        layers = self._view.variants[variant]
+        return np.stack(
+            [
+                (layers[i] / scale if scale != 1 else layers[i]).astype("<f2")
+                for i, scale in zip(self._order, self._scale, strict=True)
+            ]
+        )
 
 
 def dataset_json(source: DatasetSource, indices: Collection[int], address: str) -> bytes:
@@ -92,43 +135,6 @@ def scene_json(record: SceneRecord) -> bytes:
     )
 
 
-def view_files(record: SceneRecord, view: ViewData) -> ViewFiles:
-    """Lay out a view's arrays, layers in the order of the rig."""
-    order = [view.lights.index(name) for name in record.rig.names]
-    stacks = {name: layers[order] for name, layers in view.variants.items()}
-    scale = _scales(list(stacks.values()))
-    halves = {name: (stack / scale[:, None, None, None]).astype("<f2") for name, stack in stacks.items()}
-    arrays: dict[str, dict[str, NDArray[Any]]] = {"all.gz": {"all": halves[ALL]}}
-    objects = []
-    for name, coverage in view.coverage.items():
-        top, bottom, left, right = _box(coverage)
-        changed = halves[Variant.without(name)].view("<u2") ^ halves[ALL].view("<u2")
-        arrays[f"object_{name}.gz"] = {
-            "without": changed,
-            "foreground": halves[Variant.foreground(name)][:, top:bottom, left:right],
-            "coverage": coverage[top:bottom, left:right].astype("<f2"),
-        }
-        box = [left, top, right - left, bottom - top]
-        objects.append({"name": name, "box": box, "coverage": round(float(coverage.mean()), 6)})
-    geometry = view.geometry
-    arrays["geometry.gz"] = {
-        "depth": geometry.z_depth.astype("<f4"),
-        "normal": geometry.normal_world.astype("<f2"),
-        "albedo": geometry.albedo.astype("<f2"),
-        "ids": geometry.instance_id.astype("<u2"),
-    }
-    height, width = geometry.z_depth.shape
-    about = {
-        "width": width,
-        "height": height,
-        "scale": scale.tolist(),
-        "depth": depth_range(geometry.z_depth),
-        "objects": objects,
-        "bytes": {name: sum(array.nbytes for array in group.values()) for name, group in arrays.items()},
-    }
-    return ViewFiles(about, arrays)
-
-
 def preview(source: DatasetSource, index: int) -> bytes:
     """Return a scene's preview (PNG); raises `StoreError`."""
     return source.place.read(f"{scene_folder(index)}/{PREVIEW}", MOST_PREVIEW)
@@ -139,7 +145,7 @@ def view_folder(number: int) -> str:
     return f"views/{number:02d}"
 
 
-def _scales(stacks: list[Float32]) -> Float32:
+def _scales(stacks: Iterable[Float32]) -> Float32:
     """Return for each light the power of two that its layers (L, H, W, 3) are divided by to be half floats."""
     peaks = np.max([stack.max(axis=(1, 2, 3)) for stack in stacks], axis=0)
     return np.exp2(np.ceil(np.log2(np.maximum(peaks / HALF_MAX, 1.0)))).astype(np.float32)

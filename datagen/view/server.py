@@ -20,7 +20,6 @@ from multilight.datagen.view.content import (
     dataset_json,
     preview,
     scene_json,
-    view_files,
     view_folder,
 )
 
@@ -85,7 +84,7 @@ class Answers:
 
     def _read_view(self, index: int, number: int) -> ViewFiles:
         record = self._record(index)
-        return view_files(record, self._source.view(record, number))
+        return ViewFiles(record, self._source.view(record, number))
 
 
 class Handler(BaseHTTPRequestHandler):

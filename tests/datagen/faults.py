@@ -46,7 +46,7 @@ SMALL = {
     "colmap": "--conditions 1",
 }
 SCENES = 2
-COPIES = ("pack", "webdataset", "nerfstudio", "colmap", "luxremix", "usd", "dtc-multilight")
+COPIES = ("pack", "webdataset", "nerfstudio", "colmap", "luxremix", "usd", "dtc-multilight", "web")
 GOOD = ("found", "repaired", "refused", "rebuilt", "unread", "unseen", "-")
 DATASET_FILES = ("dataset.json", "index.parquet") + tuple(
     f"scenes/000000/{name}" for name in ("scene.json", "views/00.exr", "preview.png")

@@ -28,6 +28,7 @@ EXPORTS: dict[str, list[str]] = {
     "luxremix": ["export", "luxremix"],
     "luxremix tars": ["export", "luxremix", "--tar"],
     "usd": ["export", "usd"],
+    "web": ["export", "web"],
 }
 """Every way to make something of a dataset."""
 

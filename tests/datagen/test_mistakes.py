@@ -25,7 +25,7 @@ FOLDERS = (  # what writes a folder
     f"scene {' '.join(SPHERES)} --out",
     "stats DATA --out",
     "pack DATA --out",
-    *(f"export {name} DATA --out" for name in ("usd", "webdataset", "nerfstudio", "colmap", "luxremix")),
+    *(f"export {name} DATA --out" for name in ("usd", "webdataset", "nerfstudio", "colmap", "luxremix", "web")),
     "export dtc-multilight DATA --size 48 --out",
     "import usd STAGE --out",
     "train TRAINING --out",
@@ -37,7 +37,9 @@ FILES = ("mix DATA --out", "sheet DATA --out", f"{PICTURES} --out")
 READERS = (  # what reads a dataset
     *("verify", "query", "stats", "view --no-open"),
     *("mix --out O.png", "sheet --out O.png", "pack --out O", "evaluate --out O", "ablate head --out O"),
-    *(f"export {name} --out O" for name in ("dtc-multilight", "usd", "webdataset", "nerfstudio", "colmap", "luxremix")),
+    "export dtc-multilight --out O",
+    *(f"export {name} --out O" for name in ("usd", "webdataset", "nerfstudio", "colmap", "luxremix", "web")),
+    "view --no-open",
     "train TRAINING --out O --data",
 )
 MISTAKES = {
@@ -125,7 +127,7 @@ MISTAKES = {
     "train UNSEEN": "has no scene of split 'test_ood'; set data.validation_split",
     **{
         f"export {name} DATA --out O --where index=77": "holds no finished scene for which index=77"
-        for name in ("usd", "webdataset", "nerfstudio", "colmap", "luxremix")
+        for name in ("usd", "webdataset", "nerfstudio", "colmap", "luxremix", "web")
     },
 }
 KEYS = {  # of a training's configuration

@@ -420,12 +420,11 @@ def test_the_server_answers_for_its_dataset_only(address: str) -> None:
     assert ask(address, "/", host=f"localhost:{port}").status == 200
     for host in ("evil.example", f"evil.example:{port}", "127.0.0.1"):
         assert ask(address, "/data/dataset.json", host=host).status == 403
-    for path in (
-        "/../../etc/passwd", "/data/../dataset.json", "/data/scenes/000000/scene.json/", "/data/scenes/0000000/scene.json",
-        "/data/scenes/000009/scene.json", "/data/scenes/000000/views/00/../scene.json", "/data/scenes/000000/views/99/view.json",
-        "/data/scenes/000000/views/0/view.json", "/data/scenes/000000/views/00/all.npy", "/%2e%2e/dataset.json", "/data/dataset.json/x",
-        "//etc/passwd", "/app.js.map", "/data/scenes/000000/views/00.exr",
-    ):  # fmt: skip
+    scene = "/data/scenes/000000"
+    beside = ("/scene.json/", "/views/00/../scene.json", "/views/99/view.json", "/views/0/view.json", "/views/00.exr")
+    none = ("/../../etc/passwd", "//etc/passwd", "/%2e%2e/dataset.json", "/data/../dataset.json", "/app.js.map")
+    others = ("/data/scenes/0000000/scene.json", "/data/scenes/000009/scene.json", "/data/dataset.json/x")
+    for path in (*none, *others, *(scene + name for name in (*beside, "/views/00/all.npy"))):
         assert ask(address, path).status == 404, path
     assert ask(address, "/", method="POST").status == 501
     head = ask(address, "/data/scenes/000000/views/00/all.gz", method="HEAD")

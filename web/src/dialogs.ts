@@ -24,7 +24,7 @@ export function showSave(state: State, scene: Scene, address: string, told: (tex
   const name = h("input", { type: "text", required: true, pattern: "[a-z][a-z0-9_]{0,39}", spellcheck: "false", autocomplete: "off", "aria-describedby": "name-rule", oninput: () => show() });
   const [text, command] = [h("pre", { tabindex: "0", "aria-label": "The file" }), h("pre", { tabindex: "0", "aria-label": "The command" })];
   const save = h("button", { class: "main" }, icon("save"), "Save the file");
-  const content = () => `${JSON.stringify(conditionOf(sideLit(state, side), scene, name.value), null, 1).replace(/\[[^\]]*\]/g, (gain) => gain.replace(/\s+/g, " "))}\n`;
+  const content = () => `${JSON.stringify(conditionOf(sideLit(state, side), scene, name.value), null, 1).replace(/\[[^\]]*\]/g, (gain) => gain.replace(/\s+/g, "").replaceAll(",", ", "))}\n`;
   const show = () => {
     save.disabled = !name.validity.valid;
     text.textContent = content();

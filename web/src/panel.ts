@@ -7,7 +7,8 @@ import { cssOf, signed } from "./stage";
 import { gainOf, isOn, type Lamp, type Lighting, lightingOf, sideLit, type Side, type State, storedAs } from "./state";
 
 const STOPS = 6;
-const EXPOSURES = 8;
+/** Stops that the slider of the exposure goes beyond those of the stored conditions. */
+const BEYOND = 4;
 /** Reciprocal of the coldest and hottest white on the sliders [1/MK], and how near a tint must be to one. */
 const WARM = -Math.round(1e6 / COLDEST);
 const COOL = -80;
@@ -26,7 +27,6 @@ export class Panel {
   private readonly exposure;
   private readonly exposureText = h("output", { class: "value" });
   private readonly curves;
-  private readonly zero: number;
   private small: { view: View; metered: Small } | null = null;
 
   constructor(private readonly state: State, private readonly scene: Scene, private readonly change: () => void) {
@@ -38,8 +38,8 @@ export class Panel {
       return { button, canvas };
     });
     this.rows = scene.lights.map((light, i) => this.row(light, i));
-    this.zero = Math.round(scene.conditions[0].exposure_ev);
-    this.exposure = slider("Exposure", this.zero - EXPOSURES, this.zero + EXPOSURES, 0.05, (ev) => { this.lighting.ev = ev; change(); }, { class: "about" });
+    const exposures = scene.conditions.map((condition) => condition.exposure_ev);
+    this.exposure = slider("Exposure", Math.floor(Math.min(...exposures)) - BEYOND, Math.ceil(Math.max(...exposures)) + BEYOND, 0.05, (ev) => { this.lighting.ev = ev; change(); });
     this.curves = segments<Curve>("curve", "Tone curve", [["soft", "The project's: highlights roll off, as multilight mix writes PNG", "Soft"], ["clip", "sRGB alone: what is too bright is cut", "Clip"], ["stops", "False colours: stops of luminance about middle grey", "Stops"]], (curve) => { state.curve = curve; change(); });
     this.element = h("section", { class: "panel", "aria-label": "Lighting" },
       h("div", { class: "group" },

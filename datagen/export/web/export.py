@@ -7,8 +7,9 @@ from multilight.datagen.report import Report
 from multilight.datagen.storage.copies import making
 from multilight.datagen.storage.source import DatasetSource
 from multilight.datagen.storage.store import scene_folder
-from multilight.datagen.view.content import PREVIEW, dataset_json, preview, scene_json, view_files, view_folder
+from multilight.datagen.view.content import PREVIEW, ViewFiles, dataset_json, preview, scene_json, view_folder
 from multilight.datagen.view.server import PAGE, SITE
+from multilight.scenes.files.whole import write_whole
 
 SQUEEZED = 6
 """Level of zlib; 9 is not smaller."""
@@ -26,7 +27,7 @@ def export_web(source: DatasetSource, out: Path, report: Report) -> int:
                         (work / "scene.json").write_bytes(scene_json(record))
                         (work / PREVIEW).write_bytes(preview(source, record.index))
                         for number, view in enumerate(source.views(record)):
-                            files = view_files(record, view)
+                            files = ViewFiles(record, view)
                             (work / view_folder(number)).mkdir(parents=True)
                             for name in files.names():
                                 (work / view_folder(number) / name).write_bytes(files.file(name, SQUEEZED))
@@ -38,6 +39,7 @@ def export_web(source: DatasetSource, out: Path, report: Report) -> int:
         contents["data/dataset.json"] = dataset_json(source, made, source.address.rpartition("/")[2])
         for name, content in contents.items():
             if not (out / name).is_file() or (out / name).read_bytes() != content:
-                (out / name).write_bytes(content)
+                with write_whole(out / name) as work:
+                    work.write_bytes(content)
         copy.finish(*contents)
     return len(made)
