@@ -85,7 +85,8 @@ class SceneArrays:
 class Textures:
     """Bitmaps as RGBA8 words end to end, kept from scene to scene: what is there is not read again, nor copied."""
 
-    MOST_BYTES = 1 << 30
+    ROOM, MOST_KEPT = 1 << 28, 3 << 26
+    """Words that there is room for, of which those not yet used take no memory; above how many all is forgotten."""
 
     def __init__(self, library: AssetLibrary) -> None:
         self._library = library
@@ -93,13 +94,13 @@ class Textures:
 
     def _forget(self) -> None:
         # Two words at least: Dr.Jit reads an array of one as a constant, in a kernel of its own.
-        self._words, self._end = aligned(2, WORD), 2
-        self._words[:] = 0
+        self._words, self._end = aligned(self.ROOM, WORD), 2
+        self._words[:2] = 0
         self._placed: dict[str, tuple[int, int, int]] = {}
 
     def begin(self) -> None:
         """Begin a scene: where too much is kept, it is forgotten."""
-        if self._end * WORD.itemsize > self.MOST_BYTES:
+        if self._end > self.MOST_KEPT:
             self._forget()
 
     def place(self, texture: Texture | None) -> tuple[int, int, int]:
