@@ -44,6 +44,8 @@ from multilight.datagen.storage.store import read_scene, scene_dir
 
 STAGES = ("draw", "contacts", "structures", "tracing", "denoise", "write", "verify", "rest")
 FLOOR = ("tracing", "denoise")
+SHARED = SCENES_A_WORKER["mitsuba"]
+"""Scenes that share the start of a worker."""
 IMPORTED = time.process_time()
 """Core-seconds that imports took."""
 
@@ -164,14 +166,14 @@ def print_preset(options: Options, preset: Preset) -> None:
     cold, _ = measured(options, smallest, first=True)
     warm, _ = measured(options, smallest, first=True)
     start = imported + max(0.0, sum(cold.values()) - sum(warm.values()))
-    print(f"start of a worker: {start:.1f} core-seconds, {start / SCENES_A_WORKER:.2f} a scene of {SCENES_A_WORKER}")
+    print(f"start of a worker: {start:.1f} core-seconds, {start / SHARED:.2f} a scene of {SHARED}")
     print(f"preset {preset}, {options.spp} spp, {options.scenes} scenes a setting; core-seconds a scene")
     print(" size views " + " ".join(f"{name:>10}" for name in (*STAGES, "start", "sum", "floor", "over", "singly")))
     for size in options.sizes:
         for views in options.views:
             spent, singly = measured(options, config_of(options, preset, size, views))
-            total, floor = sum(spent.values()) + start / SCENES_A_WORKER, sum(spent[stage] for stage in FLOOR)
-            row = (*spent.values(), start / SCENES_A_WORKER, total, floor, total / floor, singly)
+            total, floor = sum(spent.values()) + start / SHARED, sum(spent[stage] for stage in FLOOR)
+            row = (*spent.values(), start / SHARED, total, floor, total / floor, singly)
             print(f"{size:5} {views:5} " + " ".join(f"{value:10.2f}" for value in row), flush=True)
 
 

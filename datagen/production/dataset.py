@@ -42,7 +42,8 @@ AHEAD = 2
 """Scenes a worker that are handed out: the one in work, and the next."""
 BETWEEN = 60.0
 """Seconds from one writing of the index to the next, while scenes are made."""
-SCENES_A_WORKER = 25  # then a fresh process: a long-lived Blender grows
+SCENES_A_WORKER: dict[RendererName, int] = {"cycles": 25, "mitsuba": 100, "analytic": 1000}
+"""Then a fresh process: a long-lived Blender grows. A fresh one has to read its meshes and textures anew."""
 SECONDS_A_MEGASAMPLE = 60.0  # a hundred times what a slow core needs; only a hung scene exceeds it
 LEAST_TIMEOUT = 600.0
 VERSIONS = ("multilight", "bpy", "mitsuba", "drjit", "mitsuba-oidn", "OpenEXR", "trimesh", "numpy", "colour-science")
@@ -286,7 +287,7 @@ def _run(plan: Plan, renderer: RendererName, missing: Sequence[int], watch: _Wat
     setup = WorkerSetup(plan.config, renderer, plan.root, plan.asset_folders, threads, os.getpid())
     pool = ProcessPool(
         max_workers=workers,
-        max_tasks=SCENES_A_WORKER,
+        max_tasks=SCENES_A_WORKER[renderer],
         context=multiprocessing.get_context("spawn"),
     )
     try:

@@ -35,6 +35,7 @@ VISIBLE = 0.01  # of a channel's local radiance: what a change must reach; about
 FAINT = 0.03  # of the mean radiance: below it less of a change counts
 GREY = 0.1  # of the local radiance of all channels counts for each: a dark one's small changes are not seen
 WINDOWS = 9, 27, 81  # pixels over which a change is judged: where noise is rare bright dots, only wide ones tell it
+MOST_MEMORY = 1000  # MB: what takes more, pictures of 1.2 megapixels, OIDN denoises in tiles, to the same bits
 MARGIN = 3  # pixels round where an object was to be seen in which `all` may have taken some of its colour
 SEAM = 3  # pixels round a change within which the clean pictures of a variant and of `all` are blended
 
@@ -109,8 +110,12 @@ def foreground_layers(foreground: LayerStack, whole: Float32) -> Float32:
     object's own samples.
     """
     assert foreground.coverage is not None
-    alpha = foreground.coverage[..., None]
-    return np.where(alpha >= 1.0, whole, np.where(alpha <= 0.0, np.float32(0.0), foreground.radiance))
+    layers = np.zeros(whole.shape, np.float32)
+    covered, inside = foreground.coverage > 0, foreground.coverage >= 1
+    for layer, own, everything in zip(layers, foreground.radiance, whole, strict=True):
+        layer[covered] = own[covered]
+        layer[inside] = everything[inside]
+    return layers
 
 
 def denoise_foreground(foreground: LayerStack, clean: Float32, *, threads: int = 1) -> Float32:
@@ -239,7 +244,7 @@ class _Denoiser(threading.local):
 
 def _filter(device: Any, quality: Any) -> Any:
     made = device.new_filter("RT")
-    made.hdr, made.quality = True, quality
+    made.hdr, made.quality, made.max_memory_mb = True, quality, MOST_MEMORY
     # The guides come from the same samples as the colour, so what noise they have the colour shares.
     made.clean_aux = True
     return made

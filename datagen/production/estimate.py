@@ -49,7 +49,7 @@ class Measured:
 class Estimate:
     """What `scenes` scenes cost: `core_seconds` each, give or take `error` (one standard error), on one core.
 
-    `start` are core-seconds each time a worker starts, once in `SCENES_A_WORKER` scenes; `memory` is the most that a
+    `start` are core-seconds each time a worker starts, once in `a_worker` scenes; `memory` is the most that a
     worker took [bytes], `size` the mean of a scene on disk [bytes], `measured` how many were made.
     """
 
@@ -57,13 +57,14 @@ class Estimate:
     core_seconds: float
     error: float
     start: float
+    a_worker: int
     memory: int
     size: float
     measured: int
 
     def core_hours(self) -> float:
         """Return the core-hours of all scenes, workers' starts included."""
-        return (self.scenes * self.core_seconds + math.ceil(self.scenes / SCENES_A_WORKER) * self.start) / 3600
+        return (self.scenes * self.core_seconds + math.ceil(self.scenes / self.a_worker) * self.start) / 3600
 
     def workers(self, cores: int, memory: int) -> int:
         """Return how many workers a machine of so many cores and bytes holds, at least one; a tenth is kept free."""
@@ -113,6 +114,7 @@ def estimate(
         core_seconds=fmean(costs),
         error=_error(costs),
         start=fmean(starts),
+        a_worker=SCENES_A_WORKER[renderer],
         memory=max(one.memory for one in found),
         size=fmean(one.size for one in found),
         measured=len(found),

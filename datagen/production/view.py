@@ -1,6 +1,5 @@
 """Render one view: every variant, light by light, denoised, with what the layers held before."""
 
-import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,6 +8,7 @@ import numpy as np
 
 from multilight.datagen.backends.protocol import LARGE, Backend, RenderJob, RenderSettings
 from multilight.datagen.production.denoise import denoise_all, denoise_foreground, denoise_without, foreground_layers
+from multilight.datagen.production.shelf import Shelf
 from multilight.datagen.production.stopwatch import Stopwatch
 from multilight.datagen.storage.halves import Halves
 from multilight.datagen.storage.layers import LayerStack
@@ -58,49 +58,45 @@ def render_view(setup: SceneSetup, view: int, watch: Stopwatch) -> RenderedView:
     def render(variant: str) -> LayerStack:
         with watch.stage("render"):
             stack = setup.backend.render(RenderJob(setup.scene, setup.rig, setup.settings, view, variant))
-            return _set_aside(stack, setup.scratch) if large else stack
+            return stack if shelf is None else shelf.put(stack)
 
     names, camera = setup.scene.insertable, setup.scene.cameras[view]
-    large = camera.width * camera.height > LARGE
+    shelf = Shelf(setup.scratch) if camera.width * camera.height > LARGE else None
     everything = render(ALL)
     assert everything.geometry is not None
     foregrounds = _within_pixels({name: render(Variant.foreground(name)) for name in names})
     without = {name: render(Variant.without(name)) for name in names}
     raw: Mapping[str, Float32] = {}
     if setup.keep_raw or not setup.denoise:
-        raw = _kept(_as_rendered(everything, without, foregrounds), large=large)
+        raw = _kept(_as_rendered(everything, without, foregrounds), shelf)
     variants, residuals = raw, dict[str, Residuals]()
     if setup.denoise:
         with watch.stage("denoise"):
             clean = _denoised(everything, without, foregrounds, residuals, threads=max(1, setup.settings.threads))
-            variants = _kept(clean, large=large)
+            variants = _kept(clean, shelf)
     coverage = {name: stack.coverage for name, stack in foregrounds.items() if stack.coverage is not None}
     free = np.clip(1.0 - sum(coverage.values()), 0.0, 1.0)
     geometry = replace(everything.geometry, environment=np.minimum(everything.geometry.environment, free))
     kept = raw if setup.denoise else {}
     data = ViewData(setup.rig.names, variants, coverage, geometry, everything.combined, kept)
     whole = [(ALL, everything), *((Variant.without(name), stack) for name, stack in without.items())]
-    energy: dict[str, dict[str, LayerEnergy]] = {variant: layer_energies(stack) for variant, stack in whole}
+    energy: dict[str, dict[str, LayerEnergy]] = {}
+    for variant, stack in whole:
+        energy[variant] = layer_energies(stack)
+        if shelf is not None:
+            shelf.rest()
     return RenderedView(data, additivity_residual(everything), energy, residuals)
 
 
-def _set_aside(stack: LayerStack, folder: Path | None) -> LayerStack:
-    """Put what is large of a stack into a file without a name, from which it is read when it is looked at."""
-
-    def on_disk(values: Float32) -> Float32:
-        with tempfile.TemporaryFile(dir=folder) as file:
-            values.tofile(file)
-            file.flush()
-            return np.memmap(file, np.float32, mode="c", shape=values.shape)
-
-    names = ("radiance", "guide_albedo", "guide_normal")
-    there = {name: values for name in names if (values := getattr(stack, name)) is not None}
-    return replace(stack, **{name: on_disk(values) for name, values in there.items()})
-
-
-def _kept(layers: Iterable[tuple[str, Float32]], *, large: bool) -> Mapping[str, Float32]:
+def _kept(layers: Iterable[tuple[str, Float32]], shelf: Shelf | None) -> Mapping[str, Float32]:
     """Keep layers by variant; those of a large picture, which are made one after the other, as they will be stored."""
-    return Halves({name: in_half(values) for name, values in layers}) if large else dict(layers)
+    if shelf is None:
+        return dict(layers)
+    found = {}
+    for name, values in layers:
+        found[name] = in_half(values)
+        shelf.rest()
+    return Halves(found)
 
 
 def _as_rendered(everything: LayerStack, without: Stacks, foregrounds: Stacks) -> Iterator[tuple[str, Float32]]:

@@ -16,6 +16,7 @@ import hashlib
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -112,12 +113,12 @@ def file_sha256(path: Path) -> str:
 
 def write_view(path: Path, view: ViewData) -> None:
     """Write one view as a multi-part OpenEXR file; radiance as half float, or float where half would overflow."""
-    stored = dict(view.variants) | {RAW + variant: layers for variant, layers in view.raw.items()}
+    stored = chain(view.variants.items(), ((RAW + variant, layers) for variant, layers in view.raw.items()))
     parts = [
         _part(
             part, (_planes(f"{part}.{light}", in_half(layer)) for light, layer in zip(view.lights, layers, strict=True))
         )
-        for part, layers in stored.items()
+        for part, layers in stored
     ]
     parts.append(_part("combined", [_planes("combined", in_half(view.combined))]))
     buffers = [

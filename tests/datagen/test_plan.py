@@ -14,7 +14,9 @@ GB = 10**9
 
 
 def test_hours_are_core_seconds_and_starts_over_workers() -> None:
-    found = Estimate(scenes=1000, core_seconds=36.0, error=1.0, start=90.0, memory=2 * GB, size=5.0, measured=10)
+    found = Estimate(
+        scenes=1000, core_seconds=36.0, error=1.0, start=90.0, a_worker=25, memory=2 * GB, size=5.0, measured=10
+    )
     assert found.core_hours() == pytest.approx(10 + 1)  # 1000 scenes, and 40 starts: one in 25 scenes
     assert found.workers(cores=16, memory=64 * GB) == 16
     assert found.workers(cores=64, memory=20 * GB) == 9  # a tenth is kept free

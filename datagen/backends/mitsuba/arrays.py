@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from multilight.datagen.backends.mitsuba.device import aligned
 from multilight.datagen.backends.parts import body_parts, glowing_parts
 from multilight.datagen.backends.protocol import BackendError
 from multilight.lights.spec import EmissiveLight, LightRig
@@ -44,6 +45,7 @@ The two highest bits of a width say what lies beyond the picture: the number in 
 """
 WRAPS = ("repeat", "clamp", "mirror")
 WRAP_BIT = 30
+WORD = np.dtype(np.uint32)
 
 
 @dataclass(frozen=True)
@@ -81,21 +83,48 @@ class SceneArrays:
 
 
 class Textures:
-    """Bitmaps as RGBA8 words, kept from scene to scene."""
+    """Bitmaps as RGBA8 words end to end, kept from scene to scene: what is there is not read again, nor copied."""
 
-    MOST_BYTES = 1 << 30
+    ROOM, MOST_KEPT = 1 << 28, 3 << 26
+    """Words that there is room for, of which those not yet used take no memory; above how many all is forgotten."""
 
     def __init__(self, library: AssetLibrary) -> None:
         self._library = library
-        self._kept: dict[str, UInt32] = {}
+        self._forget()
 
-    def load(self, image: str) -> UInt32:
-        """Return an image as (H, W) uint32, red in the lowest byte, top row first; raises `BackendError`."""
-        if image not in self._kept:
-            if sum(words.nbytes for words in self._kept.values()) > self.MOST_BYTES:
-                self._kept.clear()
-            self._kept[image] = _read_words(self._library.texture_path(image))
-        return self._kept[image]
+    def _forget(self) -> None:
+        # Two words at least: Dr.Jit reads an array of one as a constant, in a kernel of its own.
+        self._words, self._end = aligned(self.ROOM, WORD), 2
+        self._words[:2] = 0
+        self._placed: dict[str, tuple[int, int, int]] = {}
+
+    def begin(self) -> None:
+        """Begin a scene: where too much is kept, it is forgotten."""
+        if self._end > self.MOST_KEPT:
+            self._forget()
+
+    def place(self, texture: Texture | None) -> tuple[int, int, int]:
+        """Return (offset, width, height) of a texture's words, the highest bits of the width for what lies beyond it.
+
+        Raises `BackendError` where it cannot be read.
+        """
+        if texture is None:
+            return NONE, 1, 1
+        if texture.image not in self._placed:
+            words = _read_words(self._library.texture_path(texture.image))
+            start, self._end = self._end, self._end + words.size
+            if self._end > len(self._words):
+                grown = aligned(self._end * 3 // 2, WORD)
+                grown[:start] = self._words[:start]
+                self._words = grown
+            self._words[start : self._end] = words.ravel()
+            self._placed[texture.image] = start, words.shape[1], words.shape[0]
+        offset, width, height = self._placed[texture.image]
+        return offset, width | WRAPS.index(texture.wrap) << WRAP_BIT, height
+
+    def words(self) -> UInt32:
+        """Return all words, red in the lowest byte, top rows first; what is added later changes none of them."""
+        return self._words[: self._end]
 
 
 def _read_words(path: Path) -> UInt32:
@@ -111,7 +140,7 @@ def scene_arrays(scene: SceneSpec, rig: LightRig, library: AssetLibrary, texture
     """Flatten a scene; raises `BackendError` where an emissive light names no part of it, or an asset has changed."""
     materials = [material for body in scene.bodies for material in body.materials]
     glowing = glowing_parts(scene, rig)
-    atlas = _Atlas(textures)
+    textures.begin()
     vertices: list[Float32] = []
     colors: list[Float32] = []
     coloured = False
@@ -123,7 +152,7 @@ def scene_arrays(scene: SceneSpec, rig: LightRig, library: AssetLibrary, texture
         first = face
         for part, mesh in enumerate(body_parts(body, library)):
             light = glowing.get((body.name, part))
-            _write_surface(values[row], links[row], body.materials[part], light, atlas)
+            _write_surface(values[row], links[row], body.materials[part], light, textures)
             links[row]["body"] = number
             links[row]["glow"] = NONE if light is None else rig.names.index(light.name)
             vertices.append(_placed(mesh, np.array(body.world_from_body)))
@@ -142,7 +171,7 @@ def scene_arrays(scene: SceneSpec, rig: LightRig, library: AssetLibrary, texture
         spans=spans,
         values=values,
         links=links,
-        texels=atlas.words(),
+        texels=textures.words(),
         see_through=any(m.opacity < 1 or m.opacity_from_alpha for m in materials),
         glass=any(m.transmission > 0 for m in materials),
     )
@@ -155,47 +184,21 @@ def _placed(part: MeshPart, pose: Float64) -> Float32:
     return np.concatenate([apply_pose(pose, part.vertices), normals, part.uv], axis=1).astype(np.float32)
 
 
-class _Atlas:
-    """Lays the textures of a scene end to end."""
-
-    def __init__(self, textures: Textures) -> None:
-        self._textures = textures
-        self._placed: dict[str, tuple[int, int, int]] = {}
-        # Two words at least: Dr.Jit reads an array of one as a constant, in a kernel of its own.
-        self._words: list[UInt32] = [np.zeros(2, np.uint32)]
-        self._end = 2
-
-    def place(self, texture: Texture | None) -> tuple[int, int, int]:
-        """Return (offset, width, height) of a texture's words."""
-        if texture is None:
-            return NONE, 1, 1
-        if texture.image not in self._placed:
-            words = self._textures.load(texture.image)
-            self._placed[texture.image] = (self._end, words.shape[1], words.shape[0])
-            self._words.append(words.ravel())
-            self._end += words.size
-        offset, width, height = self._placed[texture.image]
-        return offset, width | WRAPS.index(texture.wrap) << WRAP_BIT, height
-
-    def words(self) -> UInt32:
-        return np.concatenate(self._words)
-
-
 def _write_surface(
-    values: np.void, links: np.void, material: Material, light: EmissiveLight | None, atlas: _Atlas
+    values: np.void, links: np.void, material: Material, light: EmissiveLight | None, textures: Textures
 ) -> None:
     """Fill a surface's row in with its material, and with the picture that it glows in."""
     numbers = ("opacity", "roughness", "metallic", "ior", "coat", "coat_roughness", "transmission", "alpha_cutoff")
     for name in ("base_color", *numbers):
         values[name] = getattr(material, name)
     links["opacity_from_alpha"] = material.opacity_from_alpha
-    textures = {
+    pictures = {
         "base_color": material.base_color_texture,
         "roughness": material.roughness_texture,
         "metallic": material.metallic_texture,
         "normal": material.normal_texture,
         "glow": None if light is None else light.texture,
     }
-    for name, texture in textures.items():
+    for name, texture in pictures.items():
         values[f"{name}_repeat"] = (1.0, 1.0) if texture is None else texture.repeat
-        links[f"{name}_texture"] = atlas.place(texture)
+        links[f"{name}_texture"] = textures.place(texture)

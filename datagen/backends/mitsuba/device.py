@@ -19,11 +19,16 @@ def on_device(kind: type[Array], array: NDArray[np.generic]) -> Array:
     Dr.Jit uses NumPy's memory where it is, and compiles other code for memory that is not aligned.
     """
     flat = np.ascontiguousarray(array).ravel()
-    buffer = np.empty(flat.nbytes + ALIGNMENT, np.uint8)
+    copied = aligned(flat.size, flat.dtype)
+    copied[:] = flat
+    return kind(copied)
+
+
+def aligned(size: int, kind: np.dtype[Any]) -> NDArray[Any]:
+    """Allocate memory that Dr.Jit can use where it is."""
+    buffer = np.empty(size * kind.itemsize + ALIGNMENT, np.uint8)
     start = -buffer.ctypes.data % ALIGNMENT
-    aligned = buffer[start : start + flat.nbytes].view(flat.dtype)
-    aligned[:] = flat
-    return kind(aligned)
+    return buffer[start : start + size * kind.itemsize].view(kind)
 
 
 def opaque(value: float) -> mi.Float:

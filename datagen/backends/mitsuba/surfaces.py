@@ -49,7 +49,7 @@ class Surfaces:
         self._colors = None if arrays.colors is None else on_device(mi.Float, arrays.colors)
         self._faces = on_device(mi.UInt32, arrays.faces)
         self._values, self._links = Table(mi.Float, arrays.values), Table(mi.UInt32, arrays.links)
-        self._texels = on_device(mi.UInt32, arrays.texels)
+        self._texels = mi.UInt32(arrays.texels)  # where they are
         self.see_through = arrays.see_through
         self.glass = arrays.glass
 

@@ -13,6 +13,7 @@ from multilight.datagen.production.stopwatch import Stopwatch
 from multilight.datagen.storage.layers import GeometryBuffers
 from multilight.datagen.storage.store import ViewData, read_view, write_view
 from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.spec import Texture
 from tests.datagen.backends.contract_scenes import RIG, still_life
 
 
@@ -57,3 +58,27 @@ def _written(path: Path, layers: np.ndarray) -> None:
     plane, colour = np.zeros(layers.shape[1:3], np.float32), np.zeros(layers.shape[1:], np.float32)
     geometry = GeometryBuffers(plane, colour, colour, plane, plane, plane.astype(np.uint16), plane)
     write_view(path, ViewData(("a", "b"), {"all": layers}, {}, geometry, colour))
+
+
+def test_textures_stay_where_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    if choose_variant().variant is None:
+        pytest.skip(f"Mitsuba cannot run here: {choose_variant().why}")
+    open_backend("mitsuba", AssetLibrary(tmp_path, packs=()))  # chooses the variant
+    from multilight.datagen.backends.mitsuba.arrays import Textures
+
+    images = {name: np.full((2, 3), number, np.uint32) for number, name in enumerate(("a", "b", "c"), start=1)}
+    monkeypatch.setattr("multilight.datagen.backends.mitsuba.arrays._read_words", lambda path: images[path.name])
+    library = AssetLibrary(tmp_path, packs=())
+    monkeypatch.setattr(library, "texture_path", lambda image: tmp_path / image)
+    monkeypatch.setattr(Textures, "ROOM", 12)
+    monkeypatch.setattr(Textures, "MOST_KEPT", 18)
+    textures = Textures(library)
+    places = [textures.place(Texture(image=name)) for name in ("a", "b", "a")]
+    assert places == [(2, 3, 2), (8, 3, 2), (2, 3, 2)]
+    before = textures.words()
+    textures.begin()
+    assert textures.place(Texture(image="c"))[0] == 14  # beyond the room: it grows
+    assert textures.words().tolist() == [0, 0, *[1] * 6, *[2] * 6, *[3] * 6]
+    assert before.tolist() == [0, 0, *[1] * 6, *[2] * 6]
+    textures.begin()
+    assert textures.place(Texture(image="b"))[0] == 2, "too much was kept, and is forgotten"
