@@ -323,21 +323,10 @@ def _empty() -> None:
         bpy.context.preferences.filepaths.use_scripts_auto_execute = False
         _begun.append(True)
     else:  # ten times faster
-        kinds = [
-            "objects",
-            "collections",
-            "meshes",
-            "curves",
-            "armatures",
-            "lights",
-            "cameras",
-            "materials",
-            "images",
-            "node_groups",
-            "actions",
-        ]
-        kinds += ["textures", "worlds", "libraries"]
-        bpy.data.batch_remove([made for kind in kinds for made in getattr(bpy.data, kind)])
+        kinds = "objects collections meshes curves armatures lights cameras materials images node_groups actions"
+        bpy.data.batch_remove(
+            [made for kind in f"{kinds} textures worlds libraries".split() for made in getattr(bpy.data, kind)]
+        )
 
 
 def rgb_of(colour: Any, strength: float) -> Rgb:

@@ -49,28 +49,19 @@ FINISHES = (
     Finish("skin", ("apple", "pear", "banana", "orange", "cherry", "lemon"), 0.35, coat=0.3),
     Finish("paint", ("paint", "gloss", "shiny"), 0.3, coat=0.4),
 )
+_CATEGORIES: dict[str, tuple[str, float, float, float]] = {
+    "cup mug plate jug teapot": ("ceramic", 0.22, 0, 0.8), "bowl": ("ceramic", 0.25, 0, 0.7),
+    "vase": ("ceramic", 0.3, 0, 0.5), "cutlery": ("polished", 0.2, 1, 0), "jewellery": ("polished", 0.12, 1, 0),
+    "keys": ("polished", 0.25, 1, 0), "pan": ("brushed", 0.3, 1, 0), "plant": ("leaf", 0.6, 0, 0),
+    "food": ("skin", 0.5, 0, 0), "shoe bag": ("leather", 0.55, 0, 0), "fabric": ("fabric", 0.9, 0, 0),
+    "hat": ("fabric", 0.85, 0, 0), "stone": ("rough stone", 0.85, 0, 0), "paper": ("paper", 0.8, 0, 0),
+    "camera": ("plastic", 0.45, 0, 0), "electronics": ("plastic", 0.4, 0, 0),
+}  # fmt: skip
+"""Kind, roughness, metallic and coat of categories."""
 BY_CATEGORY = {
-    "cup": Finish("ceramic", (), 0.22, coat=0.8),
-    "mug": Finish("ceramic", (), 0.22, coat=0.8),
-    "plate": Finish("ceramic", (), 0.22, coat=0.8),
-    "bowl": Finish("ceramic", (), 0.25, coat=0.7),
-    "jug": Finish("ceramic", (), 0.22, coat=0.8),
-    "teapot": Finish("ceramic", (), 0.22, coat=0.8),
-    "vase": Finish("ceramic", (), 0.3, coat=0.5),
-    "cutlery": Finish("polished", (), 0.2, metallic=1.0),
-    "jewellery": Finish("polished", (), 0.12, metallic=1.0),
-    "keys": Finish("polished", (), 0.25, metallic=1.0),
-    "pan": Finish("brushed", (), 0.3, metallic=1.0),
-    "plant": Finish("leaf", (), 0.6),
-    "food": Finish("skin", (), 0.5),
-    "shoe": Finish("leather", (), 0.55),
-    "bag": Finish("leather", (), 0.55),
-    "fabric": Finish("fabric", (), 0.9),
-    "hat": Finish("fabric", (), 0.85),
-    "stone": Finish("rough stone", (), 0.85),
-    "paper": Finish("paper", (), 0.8),
-    "camera": Finish("plastic", (), 0.45),
-    "electronics": Finish("plastic", (), 0.4),
+    category: Finish(kind, (), roughness, float(metallic), float(coat))
+    for categories, (kind, roughness, metallic, coat) in _CATEGORIES.items()
+    for category in categories.split()
 }
 GLASS_WORDS = ("glass", "cristal", "vidre", "verre", "vetro", "glas", "bottle", "carafe", "diamon")
 

@@ -7,28 +7,9 @@ from pathlib import Path
 from multilight.scenes.assets.formats.intake import SUFFIXES
 from multilight.scenes.assets.info import AssetRole
 
-PLAIN_NAMES = frozenset(
-    [
-        "3d-asset",
-        "asset",
-        "geometry",
-        "glb",
-        "gltf",
-        "mesh",
-        "meshes",
-        "model",
-        "models",
-        "obj",
-        "object",
-        "original",
-        "scene",
-        "source",
-        "textured",
-        "untitled",
-        "usd",
-        "visual",
-        "visuals",
-    ]
+PLAIN_NAMES = (
+    "3d-asset asset geometry glb gltf mesh meshes model models obj object original scene source textured untitled usd "
+    "visual visuals"
 )
 """Names of files and folders that say nothing of what is in them, as sets are published."""
 USUAL: dict[str, tuple[AssetRole, float, float]] = {
@@ -91,7 +72,7 @@ def words_of(text: str) -> list[str]:
 def named_id(parts: tuple[str, ...]) -> str:
     """Return an id made of the parts of a path without suffix: letters of any script, digits, dashes."""
     said = [part for part in ("-".join(re.findall(r"[^\W_]+", p.lower())) for p in parts) if part]
-    telling = [part for part in said if part not in PLAIN_NAMES]
+    telling = [part for part in said if part not in PLAIN_NAMES.split()]
     return unicodedata.normalize("NFC", "-".join(telling or said)) or "model"
 
 

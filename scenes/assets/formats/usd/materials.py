@@ -317,7 +317,10 @@ def _place(node: Any) -> Place:
         affine = np.diag([*value("uvtiling", (1.0, 1.0)), 1.0]).astype(np.float64)
         affine[:2, 2] = value("uvoffset", (0.0, 0.0))
     feeds: tuple[str, ...] = ("st", "texcoord")
-    while (feed := next((found for name in feeds if (found := _feeding(node, name)) is not None), None)) is not None:
+    for _ in range(limits.MOST_LEVELS):  # nodes may feed each other in a circle
+        feed = next((found for name in feeds if (found := _feeding(node, name)) is not None), None)
+        if feed is None:
+            break
         node, feeds = UsdShade.Shader(feed.GetPrim()), ("in",)
         value = inputs_of(node)
         if node.GetIdAttr().Get() == "UsdTransform2d":
