@@ -16,23 +16,23 @@ def print_table(heads: Sequence[str], rows: Sequence[Sequence[Any]], *, title: s
     """Print rows of cells under their heads, no heads where all are empty; what has no letters is set to the right."""
     cells = [[plain(_cell(cell)) for cell in row] for row in rows]
     numeric = [not any(_LETTER.search(line[n]) for line in cells) for n in range(len(heads))]
+    if title:
+        print(plain(title))
     if sys.stdout.isatty() and len(cells) <= MOST_RULED:
-        _print_ruled(heads, cells, numeric, plain(title))
+        _print_ruled(heads, cells, numeric)
         return
     lines = [list(heads), *cells] if any(heads) else cells
     widths = [max((len(line[n]) for line in lines), default=0) for n in range(len(heads))]
-    if title:
-        print(plain(title))
     form = "  ".join(f"{{:{'>' if right else '<'}{width}}}" for width, right in zip(widths, numeric, strict=True))
     sys.stdout.write("".join(f"{form.format(*line).rstrip()}\n" for line in lines))
 
 
-def _print_ruled(heads: Sequence[str], rows: Sequence[Sequence[str]], numeric: Sequence[bool], title: str) -> None:
+def _print_ruled(heads: Sequence[str], rows: Sequence[Sequence[str]], numeric: Sequence[bool]) -> None:
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(title=Text(title) if title else None, show_header=any(heads))
+    table = Table(show_header=any(heads))
     for head, right in zip(heads, numeric, strict=True):
         table.add_column(Text(head), justify="right" if right else "left", overflow="fold")
     for row in rows:

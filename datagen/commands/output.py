@@ -15,12 +15,14 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from multilight.datagen.report import Report
 from multilight.datagen.storage.source import repair_command
 from multilight.datagen.tables import print_table
-from multilight.datagen.text import duration, plain, size
+from multilight.datagen.text import duration, plain, size, terminal
 from multilight.datagen.verification.dataset import ANEW, Result, Verification
 from multilight.datagen.verification.views import CHECKS
 
 FIRST_LINE, LINES = 10.0, 60.0
 """Seconds to the first line of progress and from one to the next where there is no terminal."""
+BAR = 8
+"""Characters of a bar on a terminal; what is too long for a line is cut in the note."""
 SLOW = 0.1
 """What is done a second below which it is counted by the minute."""
 MOST_NAMED = 10
@@ -58,8 +60,11 @@ class _Meter:
         """Say how much is done of how much, and how fast: `12/64 views, 0.45/s`."""
         if not self.total:
             return ""
-        rate = self.rate and (f", {self.rate:.3g}/s" if self.rate >= SLOW else f", {60.0 * self.rate:.3g}/min")
-        return f"{self.done:.0f}/{self.total:.0f} {self.unit}{rate or ''}"
+        told = f"{self.done:.0f}/{self.total:.0f} {self.unit}"
+        if not self.rate:
+            return told
+        pace, unit = (self.rate, "s") if self.rate >= SLOW else (60.0 * self.rate, "min")
+        return f"{told}, {f'{pace:.3g}' if pace < 100 else round(pace)}/{unit}"
 
     def left(self) -> str:
         """Say how long it will take if it goes on as it did."""
@@ -82,7 +87,7 @@ def progress(unit: str, note: str) -> Iterator[Report]:
 def _bar(console: Console, meter: _Meter) -> Iterator[Report]:
     columns = (
         TextColumn("{task.description}"),
-        BarColumn(bar_width=12),
+        BarColumn(bar_width=BAR),
         TextColumn("{task.fields[count]}"),
         TimeElapsedColumn(),
         TextColumn("{task.fields[left]}"),
@@ -93,9 +98,10 @@ def _bar(console: Console, meter: _Meter) -> Iterator[Report]:
         def report(done: float, total: float, note: str = "") -> None:
             meter.update(done, total, note)
             left = f"elapsed, {meter.left()} left" if meter.done else "elapsed"
-            bar.update(
-                task, completed=done, total=total or None, description=meter.note, count=meter.count(), left=left
-            )
+            count = meter.count()
+            spare = console.width - len(count) - len(left) - BAR - len(" 0:00:00    ")
+            note = meter.note if len(meter.note) <= spare else f"{meter.note[: max(spare, BAR) - 3]}..."
+            bar.update(task, completed=done, total=total or None, description=terminal(note), count=count, left=left)
 
         yield report
 
@@ -109,7 +115,7 @@ def _lines(console: Console, meter: _Meter) -> Iterator[Report]:
         while not over.wait(wait):
             wait = LINES
             told = [meter.note, meter.count(), f"{duration(meter.elapsed)} elapsed, {meter.left()} left"]
-            console.print(", ".join(part for part in told if part), highlight=False, soft_wrap=True)
+            console.print(", ".join(part for part in told if part), markup=False, highlight=False, soft_wrap=True)
 
     teller = threading.Thread(target=tell, daemon=True)
     teller.start()

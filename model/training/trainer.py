@@ -166,7 +166,7 @@ class Trainer(ABC, Generic[Sample]):
         rate = (now.step - since.step) * stage.batch / max(now.seconds - since.seconds, 1e-9)
         values = {name: float(value) for name, value in figures.items()} | {"pictures_s": rate}
         log.scalars({f"train/{name}": value for name, value in values.items()}, now.step)
-        self._tell(f"training, {stage.size} px, loss {values['loss']:.4f}")
+        self._tell(f"training, loss {values['loss']:.4f}")
 
     def _tell(self, note: str = "") -> None:
         step, seconds, minutes = self.progress.step, self.progress.seconds, self.config.minutes

@@ -23,7 +23,7 @@ META = {
 TEXT = """
 # {title}
 
-Synthetic data for putting objects into pictures, made with [multilight](https://pypi.org/project/multilight/):
+Synthetic data for putting objects into pictures, made with multilight:
 {samples} samples of {size}, rendered with {renderer}.
 
 A sample is a view of a scene, an object in it, and two lightings: the object as lit by one, the picture by the other.
