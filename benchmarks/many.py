@@ -1,11 +1,12 @@
 """Seconds and memory of each command on datasets of a thousand, ten thousand, a hundred thousand scenes.
 
 Some closed-form scenes of 16x16 pixels are made, and their records written again and again under further numbers, with
-views and previews as links: 2.5 GB for a hundred thousand. The folder goes at the end.
+views and previews as links: 2.5 GB for a hundred thousand. Then they go on as any dataset. The folder goes at the end.
 
     python -m benchmarks.many --sizes 1000 10000 100000
 """
 
+import hashlib
 import json
 import os
 import shutil
@@ -18,14 +19,17 @@ from pathlib import Path
 
 import tyro
 
-from multilight.datagen.storage.records import record_hash
-from multilight.datagen.storage.store import read_dataset, scene_dir
+from multilight.datagen.production.finishing import Survey, finish
+from multilight.datagen.storage.blocks import BLOCK
+from multilight.datagen.storage.index import index_row
+from multilight.datagen.storage.store import read_dataset, read_scene, scene_dir, write_text
 from multilight.datagen.tables import print_table
 
-MADE = 200
+MADE = 50
 """Scenes that are made; of each further one the content is that of one of them."""
 LINKS = 20_000
 """Scenes that share the files of one; file systems allow some 65,000 links."""
+MARK = 123_456_789
 SETTINGS = "--kind spheres --renderer analytic --width 16 --height 16 --views 1 --spp 1 --seed 1"
 OPEN = "import sys, multilight; data = multilight.open(sys.argv[1]); print(len(data), data[-1].lights)"
 TRAIN = (
@@ -44,23 +48,42 @@ class Options:
 
 
 def fill(root: Path, count: int) -> None:
-    """Write scenes up to a number, as if they had been made and the run killed before it wrote any index."""
-    split_of = read_dataset(root).config.model_copy(update={"scenes": count}).split_of
-    contents = [json.loads((scene_dir(root, index) / "scene.json").read_text()) for index in range(MADE)]
+    """Bring a dataset to a number of scenes, index and all."""
+    dataset = read_dataset(root)
+    grown = dataset.model_copy(update={"config": dataset.config.model_copy(update={"scenes": count})}).sealed()
+    write_text(root / "dataset.json", grown.model_dump_json(indent=1))
+    records = [read_scene(scene_dir(root, index)) for index in range(MADE)]
+    rows = [index_row(record) for record in records]
+    marked = [r.model_dump(mode="json", exclude={"record_sha256"}) | {"index": MARK, "split": ""} for r in records]
+    texts = [json.dumps(record, sort_keys=True, separators=(",", ":")) for record in marked]
+    there = Survey()
     for index in range(MADE, count):
         if (folder := scene_dir(root, index)).exists():
             continue
-        first = scene_dir(root, index % MADE)
-        (folder / "views").mkdir(parents=True)
-        for name in ("preview.png", "views/00.exr"):
-            if index // MADE % (LINKS // MADE):
-                os.link(first / name, folder / name)
-            else:  # a new file, so that none gets too many links
-                shutil.copy(first / name, folder / name)
-                (first / name).unlink()
-                os.link(folder / name, first / name)
-        record = contents[index % MADE] | {"index": index, "split": split_of(index)}
-        (folder / "scene.json").write_text(json.dumps(record | {"record_sha256": record_hash(record)}))
+        kind, split = index % MADE, grown.config.split_of(index)
+        _share(scene_dir(root, kind), folder, new=index // MADE % (LINKS // MADE) == 0)
+        text = texts[kind].replace(f'"index":{MARK}', f'"index":{index}').replace('"split":""', f'"split":"{split}"')
+        digest = hashlib.sha256(text.encode()).hexdigest()
+        (folder / "scene.json").write_text(f'{{"record_sha256":"{digest}",{text[1:]}')
+        there.add(rows[kind] | {"index": index, "split": split, "record_sha256": digest}, records[kind].assets)
+        if len(there.rows) == BLOCK:
+            finish(root, there)
+    finish(root, there)
+    time.sleep(0.1)
+    for path in (root / "index.parquet", *root.glob("index/*")):
+        os.utime(path)  # so that it is newer than files that were linked again
+
+
+def _share(first: Path, folder: Path, *, new: bool) -> None:
+    """Give a scene the views and the preview of another: as links, or as files of its own for others to share."""
+    (folder / "views").mkdir(parents=True)
+    for name in ("preview.png", "views/00.exr"):
+        if new:
+            shutil.copy(first / name, folder / name)
+            (first / name).unlink()
+            os.link(folder / name, first / name)
+        else:
+            os.link(first / name, folder / name)
 
 
 def timed(words: list[str]) -> str:
@@ -82,7 +105,6 @@ def measured(root: Path, count: int, more: int) -> dict[str, str]:
     command = ["-m", "multilight"]
     fill(root, count)
     return {
-        "index from records": timed([*make, str(count)]),
         "nothing to do": timed([*make, str(count)]),
         f"{more} more": timed([*make, str(count + more)]),
         f"{more} more again": timed([*make, str(count + 2 * more)]),

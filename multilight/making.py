@@ -12,8 +12,9 @@ from multilight.datagen.commands.output import progress as shown
 from multilight.datagen.config.dataset import DatasetConfig, load_config
 from multilight.datagen.config.presets import PRESETS, Preset
 from multilight.datagen.errors import UserError
-from multilight.datagen.production.dataset import Outcome, Plan, make_dataset, settings_of
+from multilight.datagen.production.dataset import Outcome, make_dataset, settings_of
 from multilight.datagen.production.memory import default_workers
+from multilight.datagen.production.running import Plan
 from multilight.datagen.report import silent
 from multilight.datagen.text import plain
 from multilight.reading import Dataset, Scene, open

@@ -1,5 +1,6 @@
 """Commands that make scenes: `dataset`, `scene`."""
 
+import os
 import sys
 import time
 from collections import Counter
@@ -13,10 +14,12 @@ from multilight.datagen.commands.arguments import hint
 from multilight.datagen.config.dataset import DatasetConfig, Denoise, Kind, Renderer, load_config
 from multilight.datagen.config.presets import Preset
 from multilight.datagen.errors import UserError
+from multilight.datagen.production.shards import Shard, parse_shard
 from multilight.datagen.text import duration, plain, size
 
 if TYPE_CHECKING:
-    from multilight.datagen.production.dataset import Outcome, Plan
+    from multilight.datagen.production.dataset import Outcome
+    from multilight.datagen.production.running import Plan
 
 
 def config_key(key: str) -> Any:
@@ -88,12 +91,18 @@ class Dataset(_Options):
     """Worker processes (default: one a core)."""
     repair: bool = False
     """Look at the contents of all that is there too, not at names and sizes only, and make anew what is damaged."""
+    shard: str | None = None
+    """Make part I of N only, counted from 0 (`2/8`), then help with parts that other runs on the folder have begun;
+    `auto` asks the variables of Slurm and AWS Batch arrays, `auto/N` those of Kubernetes' indexed jobs."""
 
     def run(self) -> int:
         """Make what is missing and return the exit code."""
         config = self.continued()
         indices = tuple(range(config.scenes))
-        return make_scenes(self.out, config, indices, workers=self.workers, assets=self.folders, repair=self.repair)
+        shard = None if self.shard is None else parse_shard(self.shard, os.environ)
+        return make_scenes(
+            self.out, config, indices, workers=self.workers, assets=self.folders, repair=self.repair, shard=shard
+        )
 
 
 @dataclass(kw_only=True)
@@ -119,12 +128,14 @@ def make_scenes(
     workers: int | None,
     assets: tuple[Path, ...],
     repair: bool = False,
+    shard: Shard | None = None,
 ) -> int:
     """Make what is missing or damaged of these scenes of a dataset, say how it went, and return the exit code."""
     from multilight.datagen.commands.doctor import slow_note
     from multilight.datagen.commands.output import progress
-    from multilight.datagen.production.dataset import Plan, make_dataset
+    from multilight.datagen.production.dataset import make_dataset
     from multilight.datagen.production.memory import default_workers
+    from multilight.datagen.production.running import Plan
 
     if out.is_symlink() and not out.exists():
         raise UserError(f"--out {out} is a link that leads nowhere (to {out.readlink()}); make that folder first")
@@ -132,7 +143,7 @@ def make_scenes(
         raise UserError(f"--workers {workers} must be 1 or more")
     if note := slow_note(config.renderer):
         print(note, file=sys.stderr)
-    plan = Plan(out, config, indices, workers or default_workers(len(indices), config), assets, repair)
+    plan = Plan(out, config, indices, workers or default_workers(len(indices), config), assets, repair, shard)
     start = time.monotonic()
     with progress("views", "starting") as report:
         outcome = make_dataset(plan, report)
@@ -150,12 +161,13 @@ def make_scenes(
 
 def summary(plan: "Plan", outcome: "Outcome", seconds: float) -> str:
     """Say in a line how a run went: scenes, time and what it went to, size, draws thrown away by reason."""
-    count = len(outcome.made) + outcome.kept
-    if not outcome.made and not outcome.failures:
+    count = len(outcome.made) + outcome.kept + outcome.others
+    if not outcome.made and not outcome.failures and not outcome.others:
         return f"nothing to do, all {count} scenes are there"
     told = [
         f"{len(outcome.made)} made, {outcome.kept} kept"
-        + (f", {len(outcome.failures)} failed" * bool(outcome.failures))
+        + f", {outcome.others} made by other runs" * bool(outcome.others)
+        + f", {len(outcome.failures)} failed" * bool(outcome.failures)
     ]
     told.append(f"{outcome.views} views, {size(outcome.size)}")
     spent = sum(outcome.seconds.values()) or 1.0

@@ -1,34 +1,24 @@
 """Make or continue a dataset: plan, worker processes, index; resumable after any kill."""
 
 import contextlib
-import glob
 import importlib.metadata
-import multiprocessing
-import os
-import shutil
-import signal
 import sys
-import time
-from collections import deque
-from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_COMPLETED, wait
-from concurrent.futures import TimeoutError as FutureTimeout
-from dataclasses import dataclass, field, replace
-from functools import partial
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
-
-from pebble import ProcessExpired, ProcessFuture, ProcessPool
 
 from multilight.datagen.backends.choose import resolve_renderer
 from multilight.datagen.backends.machine.variants import choose_variant
 from multilight.datagen.config.dataset import DatasetConfig, RendererName
-from multilight.datagen.errors import RunStoppedError, StoreError, UserError, full_disk_told
+from multilight.datagen.errors import StoreError, UserError, full_disk_told
 from multilight.datagen.files.locks import locked
-from multilight.datagen.production.finishing import Survey, finish, survey
+from multilight.datagen.production.drivers import Driver
+from multilight.datagen.production.finishing import finish, survey
 from multilight.datagen.production.library import check_library, located, same_background
-from multilight.datagen.production.worker import WorkerReport, WorkerSetup, log_path, run_scene
+from multilight.datagen.production.running import PATIENCE, Plan, Work, run_scenes
 from multilight.datagen.report import Report
+from multilight.datagen.storage.blocks import read_blocks
+from multilight.datagen.storage.place import find_place
 from multilight.datagen.storage.records import GHOSTS, DatasetRecord, ImportAccount
 from multilight.datagen.storage.store import COPIES, read_dataset, read_scene, scene_dir, scene_indices, write_text
 from multilight.datagen.verification.dataset import ANEW
@@ -38,30 +28,7 @@ from multilight.scenes.assets.info import AssetRole
 from multilight.scenes.assets.library import AssetError, AssetLibrary
 from multilight.scenes.assets.packs.background import PACK
 
-AHEAD = 2
-"""Scenes a worker that are handed out: the one in work, and the next."""
-BETWEEN = 60.0
-"""Seconds from one writing of the index to the next, while scenes are made."""
-SCENES_A_WORKER: dict[RendererName, int] = {"cycles": 25, "mitsuba": 100, "analytic": 1000}
-"""Then a fresh process: a long-lived Blender grows. A fresh one has to read its meshes and textures anew."""
-SECONDS_A_MEGASAMPLE = 60.0  # a hundred times what a slow core needs; only a hung scene exceeds it
-LEAST_TIMEOUT = 600.0
 VERSIONS = ("multilight", "bpy", "mitsuba", "drjit", "mitsuba-oidn", "OpenEXR", "trimesh", "numpy", "colour-science")
-
-
-@dataclass(frozen=True)
-class Plan:
-    """A run: where, what, which scenes, with how many processes.
-
-    `repair` looks at the contents of what is there as well, not at names and sizes only.
-    """
-
-    root: Path
-    config: DatasetConfig
-    indices: tuple[int, ...]
-    workers: int
-    asset_folders: tuple[Path, ...] = ()
-    repair: bool = False
 
 
 @dataclass(frozen=True)
@@ -70,7 +37,8 @@ class Outcome:
 
     `changed` are scenes that were damaged and came out otherwise than the index states; `seconds` maps each stage to
     the time it took, over all workers; `thrown_away` are the reasons of the draws that failed a check and were drawn
-    anew; `views` and `size` are the number and the bytes of the views that were made.
+    anew; `views` and `size` are the number and the bytes of the views that were made, `others` the scenes that other
+    runs on the folder made meanwhile.
     """
 
     made: tuple[int, ...]
@@ -82,41 +50,14 @@ class Outcome:
     thrown_away: tuple[str, ...] = ()
     views: int = 0
     size: int = 0
-
-
-@dataclass(frozen=True)
-class _Watch:
-    """What is learned while the workers run: progress, scenes, broken assets, where the time goes, what was drawn anew.
-
-    `there` gets the scenes that are made, `made` the number and the bytes of their views.
-    """
-
-    report: Report
-    there: Survey
-    broken: dict[str, str]
-    made: dict[int, tuple[int, int]] = field(default_factory=dict)
-    changed: list[int] = field(default_factory=list)
-    seconds: dict[str, float] = field(default_factory=dict)
-    thrown_away: list[str] = field(default_factory=list)
-
-    def take(self, told: WorkerReport) -> None:
-        """Count a scene in that was made."""
-        index = told.row["index"]
-        if self.there.stated.get(index, told.row["record_sha256"]) != told.row["record_sha256"]:
-            self.changed.append(index)
-        self.there.add(told.row, told.credits)
-        self.made[index] = told.row["views"], told.row["bytes"]
-        self.broken.update(told.broken)
-        self.thrown_away.extend(told.thrown_away)
-        for stage, seconds in told.seconds.items():
-            self.seconds[stage] = self.seconds.get(stage, 0.0) + seconds
+    others: int = 0
 
 
 def make_dataset(plan: Plan, report: Report) -> Outcome:
     """Make what is missing or damaged of the plan's scenes, and finish: index and credits agree with the scenes then.
 
-    Raises `UserError` where the folder cannot be written, holds a dataset of another configuration or renderer,
-    is being made by another run, or is full.
+    Other runs may be at work in the folder. Raises `UserError` where it cannot be written, holds a dataset of another
+    configuration or renderer, or is full.
     """
     renderer = resolve_renderer(plan.config.renderer)
     _check_kind(plan.config, renderer)
@@ -124,42 +65,53 @@ def make_dataset(plan: Plan, report: Report) -> Outcome:
     if renderer != "analytic":
         check_cache()
     library = check_library(plan.config, plan.asset_folders)
-    with locked(plan.root), full_disk_told(plan.root):
-        record = _open_record(plan, renderer)
-        if library is not None and (said := _accounts(library)) != record.imports:
-            record = record.model_copy(update={"imports": said}).sealed()
-            write_text(plan.root / "dataset.json", record.model_dump_json(indent=1))
-        for name in ("work", "logs"):
-            shutil.rmtree(plan.root / name, ignore_errors=True)
-        for leftover in plan.root.glob(".*.tmp*"):
-            leftover.unlink()
-        report(0, 0, "looking at what is there")
-        there = survey(plan.root, record, contents=plan.repair)
-        wanted = sorted({*plan.indices, *there.damaged})
-        missing = tuple(i for i in wanted if i not in there.sound)
-        kept = len(wanted) - len(missing)
-        if not missing:
-            finish(plan.root, there)
-            return Outcome((), kept, {}, {}, {}, ())
+    with full_disk_told(plan.root):
+        with locked(plan.root, PATIENCE):
+            record = _open_record(plan, renderer)
+            if library is not None and (said := _accounts(library)) != record.imports:
+                record = record.model_copy(update={"imports": said}).sealed()
+                write_text(plan.root / "dataset.json", record.model_dump_json(indent=1))
+            for leftover in plan.root.glob(".*.tmp*"):
+                leftover.unlink()
+            driver = Driver(plan.root, plan.shard)
+            index = read_blocks(find_place(plan.root), record)
+        try:
+            report(0, 0, "looking at what is there")
+            there = survey(plan.root, record, index, contents=plan.repair)
+            return _made(plan, Work(plan, renderer, there, driver, report), library, record)
+        finally:
+            with locked(plan.root, PATIENCE):
+                driver.leave()
+
+
+def _made(plan: Plan, work: Work, library: AssetLibrary | None, record: DatasetRecord) -> Outcome:
+    """Make what is missing of the plan, and finish."""
+    there = work.there
+    wanted = sorted({*(i for i in plan.indices if plan.shard is None or plan.shard.has(i)), *there.damaged})
+    missing = tuple(i for i in wanted if i not in there.sound)
+    further = () if plan.shard is None else tuple(i for i in plan.indices if i not in there.sound)
+    failures: dict[int, str] = {}
+    if missing or further:
         for index, reason in there.damaged.items():
             print(f"scene {index} is damaged and made anew: {reason}", file=sys.stderr)
         if there.sound or there.damaged:
             _check_makers(record, plan)
-        watch = _Watch(report, there, {} if library is None else _broken_models(library))
-        failures = _run(plan, renderer, missing, watch)
-        shutil.rmtree(plan.root / "work", ignore_errors=True)
+        work.broken.update({} if library is None else _broken_models(library))
+        failures = run_scenes(work, missing, further)
+    with locked(plan.root, PATIENCE):
         finish(plan.root, there)
-        return Outcome(
-            made=tuple(watch.made),
-            kept=kept,
-            failures=failures,
-            broken=watch.broken,
-            seconds=watch.seconds,
-            changed=tuple(watch.changed),
-            thrown_away=tuple(watch.thrown_away),
-            views=sum(views for views, _ in watch.made.values()),
-            size=sum(size for _, size in watch.made.values()),
-        )
+    return Outcome(
+        made=tuple(work.made),
+        kept=len(wanted) - len(missing),
+        failures=failures,
+        broken=work.broken,
+        seconds=work.seconds,
+        changed=tuple(work.changed),
+        thrown_away=tuple(work.thrown_away),
+        views=sum(views for views, _ in work.made.values()),
+        size=sum(size for _, size in work.made.values()),
+        others=len(set(missing) - work.made.keys() - failures.keys()),
+    )
 
 
 def settings_of(root: Path) -> dict[str, Any]:
@@ -279,91 +231,3 @@ def _broken_models(library: AssetLibrary) -> dict[str, str]:
             with contextlib.suppress(AssetError):
                 library.mesh(info.id)
     return library.broken
-
-
-def _run(plan: Plan, renderer: RendererName, missing: Sequence[int], watch: _Watch) -> dict[int, str]:
-    workers = min(plan.workers, len(missing))
-    threads = max(1, len(os.sched_getaffinity(0)) // workers)
-    setup = WorkerSetup(plan.config, renderer, plan.root, plan.asset_folders, threads, os.getpid())
-    pool = ProcessPool(
-        max_workers=workers,
-        max_tasks=SCENES_A_WORKER[renderer],
-        context=multiprocessing.get_context("spawn"),
-    )
-    try:
-        failures = _collect(plan, partial(_scheduled, pool, setup), missing, watch)
-        pool.close()
-        pool.join()
-    except BaseException:
-        pool.stop()
-        pool.join()
-        # Half-made scenes are of no use to anyone, and on a full disk they are in the way.
-        shutil.rmtree(plan.root / "work", ignore_errors=True)
-        raise
-    return failures
-
-
-def _scheduled(pool: ProcessPool, setup: WorkerSetup, index: int) -> ProcessFuture:
-    return pool.schedule(run_scene, args=(setup, index), timeout=_timeout(setup.config))
-
-
-def _timeout(config: DatasetConfig) -> float:
-    renders = config.views * (1 + 2 * config.insertable)
-    megasamples = config.width * config.height * config.spp * renders / 1e6
-    return LEAST_TIMEOUT + SECONDS_A_MEGASAMPLE * megasamples
-
-
-def _collect(
-    plan: Plan, schedule: Callable[[int], ProcessFuture], missing: Sequence[int], watch: _Watch
-) -> dict[int, str]:
-    """Have all scenes made, few ahead of the workers; report the views on disk, and finish now and then.
-
-    The views of a draw that is thrown away stay counted till they are made anew.
-    """
-    failures: dict[int, str] = {}
-    waiting: dict[ProcessFuture, int] = {}
-    left = deque(missing)
-    total, done, finished = len(missing) * plan.config.views, 0, time.monotonic()
-    while left or waiting:
-        while left and len(waiting) < AHEAD * plan.workers:
-            index = left.popleft()
-            waiting[schedule(index)] = index
-        over, _ = wait(waiting, timeout=0.2, return_when=FIRST_COMPLETED)
-        for future in over:
-            index = waiting.pop(future)
-            if (reason := _failure(plan, index, future, watch)) is not None:
-                failures[index] = reason
-        if time.monotonic() - finished > BETWEEN:
-            finish(plan.root, watch.there)
-            finished = time.monotonic()
-        # Not pathlib's glob, which fails where a folder goes away meanwhile.
-        in_work = len(glob.glob("work/*/views/*.exr", root_dir=plan.root))
-        done = max(done, min((len(watch.made) + len(failures)) * plan.config.views + in_work, total))
-        note = "rendering" if done else "starting and drawing"
-        watch.report(done, total, note + (f" ({len(watch.thrown_away)} drawn anew)" if watch.thrown_away else ""))
-    return failures
-
-
-def _ended(code: int) -> str:
-    """Say how a process ended; native libraries crash in many ways where memory is refused."""
-    if code >= 0:
-        return f"died with exit code {code}"
-    return f"was ended by {signal.Signals(-code).name}, most often for want of memory: use fewer --workers"
-
-
-def _failure(plan: Plan, index: int, future: ProcessFuture, watch: _Watch) -> str | None:
-    """Return why a scene was not made, or None; what stops every scene (a full disk) is raised."""
-    where = f"seed {plan.config.seed}, log {log_path(plan.root, index)}"
-    try:
-        watch.take(future.result())
-    except FutureTimeout:
-        return f"took longer than {_timeout(plan.config):.0f} s and was stopped ({where})"
-    except ProcessExpired as error:
-        return f"the worker {_ended(error.exitcode)} ({where})"
-    except RunStoppedError:
-        raise
-    except UserError as error:
-        return f"{error} ({where})"
-    except Exception as error:
-        return f"{type(error).__name__}: {error} ({where})"
-    return None

@@ -18,8 +18,8 @@ from pebble import ProcessPool
 from multilight.datagen.backends.choose import resolve_renderer
 from multilight.datagen.config.dataset import DatasetConfig
 from multilight.datagen.errors import UserError
-from multilight.datagen.production.dataset import SCENES_A_WORKER
 from multilight.datagen.production.library import check_library
+from multilight.datagen.production.running import SCENES_A_WORKER
 from multilight.datagen.production.worker import WorkerSetup, run_scene
 from multilight.datagen.report import Report
 from multilight.datagen.storage.store import scene_dir
@@ -88,7 +88,7 @@ def estimate(
     order = Streams(config.seed, 0)("estimate").permutation(config.scenes).tolist()
     found: list[Measured] = []
     with tempfile.TemporaryDirectory(prefix="multilight-plan-") as folder:
-        setup = WorkerSetup(config, renderer, Path(folder), tuple(assets), _threads(workers), os.getpid())
+        setup = WorkerSetup(config, renderer, Path(folder), tuple(assets), _threads(workers), os.getpid(), "plan")
         begun, failed = time.monotonic(), ""
         with _pool(workers) as pool:
             waiting: set[Future[Measured]] = set()
@@ -147,7 +147,7 @@ def _pool(workers: int) -> Iterator[ProcessPool]:
 def _measured(setup: WorkerSetup, index: int) -> Measured:
     """Make a scene in a worker and say what it took."""
     wall, computed = time.perf_counter(), time.process_time()
-    told = run_scene(setup, index)
+    told = run_scene(setup, index, False)
     share = min(sum(told.seconds.values()) / (time.perf_counter() - wall), 1.0)
     spent = time.process_time() - computed
     files = (file for file in scene_dir(setup.root, index).rglob("*") if file.is_file())

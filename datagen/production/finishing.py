@@ -1,8 +1,8 @@
 """What is there of a dataset that is continued, and finishing it: index, credits and hashes in `dataset.json`."""
 
+import contextlib
 import hashlib
 import os
-import shutil
 from collections import Counter, defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -44,14 +44,13 @@ class Survey:
         self.sound.add(row["index"])
 
 
-def survey(root: Path, dataset: DatasetRecord, *, contents: bool) -> Survey:
+def survey(root: Path, dataset: DatasetRecord, index: Index, *, contents: bool) -> Survey:
     """Look at all scenes in a dataset's folder: names, sizes and records, with `contents` the hashes of views too.
 
     Records are read of scenes that the index does not have, and of those of which a file was changed after the index
     was written. With `contents` a file too many is damage as well: what is made anew has none.
     """
-    place, index = find_place(root), read_blocks(find_place(root), dataset)
-    found = Survey(unread=set(index.faults))
+    place, found = find_place(root), Survey(unread=set(index.faults))
     stated, complete = _stated(root, dataset, index)
     found.stated.update((number, row[0]) for number, row in stated.items())
     for number in (n for n in scene_names(place) or () if n < dataset.config.scenes):
@@ -101,15 +100,15 @@ def _untouched(folder: str, views: int, size: int, since: int) -> bool:
 def finish(root: Path, there: Survey) -> None:
     """Bring index and `dataset.json` up to what is `there`, in the blocks that have changed, and forget its rows.
 
-    Rows of other scenes stay, so that several runs may do so, one after the other, in any order.
+    Rows of other scenes stay, so that several runs may do so, one after the other, in any order; to be called under
+    the folder's lock.
     """
     place, dataset = find_place(root), read_dataset(root)
-    logs = root / "logs"
-    if logs.is_dir() and not any(logs.iterdir()):
-        shutil.rmtree(logs)
+    with contextlib.suppress(OSError):
+        (root / "logs").rmdir()
     index = read_blocks(place, dataset)
     if set(index.faults) - there.unread:  # damaged since, or not finished by a run that was killed
-        again = survey(root, dataset, contents=False)
+        again = survey(root, dataset, index, contents=False)
         there.rows.update(again.rows | there.rows)
         there.credits.update(again.credits)
     lost = {n for n in there.stated.keys() - there.sound if check_files(place, n, dataset, extras=False).faults}

@@ -1,9 +1,11 @@
 """Make one scene: sample, render light by light, denoise, write, verify, rename."""
 
+import contextlib
+import errno
 import os
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
@@ -59,7 +61,10 @@ class SceneFailedError(UserError):
 
 @dataclass(frozen=True)
 class SceneMaker:
-    """What is needed to make any scene of a dataset; `clock` is what its stages are timed by."""
+    """What is needed to make any scene of a dataset; `clock` is what its stages are timed by.
+
+    `token` names the run whose work it is.
+    """
 
     config: DatasetConfig
     renderer: RendererName
@@ -68,6 +73,7 @@ class SceneMaker:
     backend: Backend
     threads: int
     clock: Callable[[], float] = time.perf_counter
+    token: str = ""
 
     @property
     def denoises(self) -> bool:
@@ -124,13 +130,15 @@ def _settings(kind: type[S], config: DatasetConfig) -> S:
     return kind.model_validate({key: getattr(config, key) for key in kind.model_fields if hasattr(config, key)})
 
 
-def make_scene(maker: SceneMaker, index: int) -> Made:
+def make_scene(maker: SceneMaker, index: int, *, replace: bool = True) -> Made:
     """Make a scene; nothing is there under its name before it is whole and verified.
+
+    What lies there already, since it is damaged or not whole, is replaced, or not, where another run may have made it.
 
     A draw is thrown away as soon as one of its views fails a check or an asset of it is broken, and drawn anew, at
     most `ATTEMPTS` times; raises `SceneFailedError` with the faults, or `UserError` when the output is full.
     """
-    work = maker.root / "work" / f"{index:06d}-{os.getpid()}"
+    work = maker.root / "work" / f"{index:06d}-{os.getpid()}-{maker.token}"
     watch = Stopwatch(maker.clock)
     thrown_away: tuple[str, ...] = ()
     for attempt in range(ATTEMPTS):
@@ -147,8 +155,10 @@ def make_scene(maker: SceneMaker, index: int) -> Made:
                 final.parent.mkdir(parents=True, exist_ok=True)
                 for path in work.rglob("*"):
                     sync(path)
-                shutil.rmtree(final, ignore_errors=True)  # what lies there is not whole, or damaged
-                work.rename(final)
+                if replace:
+                    shutil.rmtree(final, ignore_errors=True)
+                with contextlib.nullcontext() if replace else _unless_there():
+                    work.rename(final)
                 sync(final.parent)
                 return Made(record, watch.seconds())
         finally:
@@ -158,6 +168,16 @@ def make_scene(maker: SceneMaker, index: int) -> Made:
     raise SceneFailedError(
         f"scene {index} (seed {maker.config.seed}) failed its checks {ATTEMPTS} times: {'; '.join(thrown_away)}"
     )
+
+
+@contextlib.contextmanager
+def _unless_there() -> Iterator[None]:
+    """Let a folder that another run has made be: it holds the same bytes."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+            raise
 
 
 def _told(fault: Fault) -> str:

@@ -33,6 +33,7 @@ class WorkerSetup:
     asset_folders: tuple[Path, ...]
     threads: int
     parent: int
+    token: str
 
 
 def log_path(root: Path, index: int) -> Path:
@@ -52,7 +53,7 @@ def _maker(setup: WorkerSetup) -> SceneMaker:
         raise RunStoppedError(str(error)) from error
     # Blender's own clean-up at exit now and then waits for ever on its sound thread; all that matters is on disk.
     atexit.register(os._exit, 0)
-    return SceneMaker(setup.config, setup.renderer, setup.root, library, backend, setup.threads)
+    return SceneMaker(setup.config, setup.renderer, setup.root, library, backend, setup.threads, token=setup.token)
 
 
 @dataclass(frozen=True)
@@ -75,14 +76,14 @@ def report_of(made: Made, broken: dict[str, str]) -> WorkerReport:
     return WorkerReport(index_row(record), record.assets, record.thrown_away, made.seconds, broken)
 
 
-def run_scene(setup: WorkerSetup, index: int) -> WorkerReport:
+def run_scene(setup: WorkerSetup, index: int, replace: bool) -> WorkerReport:
     """Make one scene in this worker; what it prints goes to the scene's log, which stays only on failure."""
     path = log_path(setup.root, index)
     path.parent.mkdir(parents=True, exist_ok=True)
     with _output_to(path):
         try:
             maker = _maker(setup)
-            made = make_scene(maker, index)
+            made = make_scene(maker, index, replace=replace)
         except UserError:
             raise
         except BaseException:

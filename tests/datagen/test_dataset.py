@@ -125,18 +125,6 @@ def test_a_worker_that_dies_costs_its_scene_only(tmp_path: Path) -> None:
     assert not (root / "logs").exists()
 
 
-def test_two_runs_do_not_share_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    root = tmp_path / "d"
-    process = start(root, "--scenes", "50")
-    try:
-        wait_for(lambda: (root / "work").is_dir())
-        assert run("dataset", "--out", root, "--scenes", 50, *SPHERES) == 1
-        assert "being made by another process" in capsys.readouterr().err
-    finally:
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
-
-
 class FaultyAtFirst:
     """The closed-form renderer, but its first scene loses light in the second view."""
 

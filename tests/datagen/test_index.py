@@ -14,6 +14,7 @@ from multilight.datagen.production import finishing
 from multilight.datagen.production.finishing import Survey, finish, survey
 from multilight.datagen.storage import blocks
 from multilight.datagen.storage.index import ADDED, index_bytes, index_row
+from multilight.datagen.storage.place import find_place
 from multilight.datagen.storage.source import open_dataset
 from multilight.datagen.storage.store import file_sha256, read_dataset, scene_dir, scene_folder
 from multilight.datagen.storage.training_source import open_training
@@ -51,6 +52,11 @@ def many(spheres_copy: Path) -> Path:
     return spheres_copy
 
 
+def look(root: Path) -> Survey:
+    record = read_dataset(root)
+    return survey(root, record, blocks.read_blocks(find_place(root), record), contents=False)
+
+
 def written(root: Path) -> dict[str, str]:
     return {p.relative_to(root).as_posix(): file_sha256(p) for p in (*root.glob("*.*"), *root.glob("index/*"))}
 
@@ -67,7 +73,7 @@ def in_pieces(root: Path, order: list[int], size: int) -> None:
 
 @pytest.mark.usefixtures("small_blocks")
 def test_whatever_the_order_the_bytes_are_the_same(many: Path) -> None:
-    finish(many, survey(many, read_dataset(many), contents=False))
+    finish(many, look(many))
     whole = written(many)
     assert set(whole) == {"dataset.json", "index.parquet", "index/000001.parquet", "index/000002.parquet"}
     assert read_dataset(many).thrown_away == {"contacts": 3}
@@ -89,10 +95,10 @@ def test_whatever_the_order_the_bytes_are_the_same(many: Path) -> None:
 def test_one_more_scene_changes_its_own_block(many: Path) -> None:
     last = many.with_name("last")
     scene_dir(many, SCENES - 1).rename(last)
-    finish(many, survey(many, read_dataset(many), contents=False))
+    finish(many, look(many))
     before = written(many)
     last.rename(scene_dir(many, SCENES - 1))
-    there = survey(many, read_dataset(many), contents=False)
+    there = look(many)
     assert list(there.rows) == [SCENES - 1]
     finish(many, there)
     after = written(many)
@@ -102,7 +108,7 @@ def test_one_more_scene_changes_its_own_block(many: Path) -> None:
 @pytest.mark.usefixtures("small_blocks")
 @pytest.mark.parametrize("where", ["folder", "memory", "http"])
 def test_blocks_are_read_at_any_address(many: Path, where: str) -> None:
-    finish(many, survey(many, read_dataset(many), contents=False))
+    finish(many, look(many))
     if where == "folder":
         assert open_dataset(many).indices == tuple(range(SCENES))
     elif where == "memory":
@@ -129,27 +135,27 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[int]]:
 
 @pytest.mark.usefixtures("small_blocks")
 def test_records_that_the_index_covers_are_not_read(many: Path, asked: list[int]) -> None:
-    finish(many, survey(many, read_dataset(many), contents=False))
+    finish(many, look(many))
     asked.clear()
-    there = survey(many, read_dataset(many), contents=False)
+    there = look(many)
     assert there.sound == set(range(SCENES))
     assert asked == []
     (scene_dir(many, 4) / "scene.json").touch()
-    there = survey(many, read_dataset(many), contents=False)
+    there = look(many)
     assert asked == [4]
     finish(many, there)
     asked.clear()
-    assert survey(many, read_dataset(many), contents=False).sound == set(range(SCENES))
+    assert look(many).sound == set(range(SCENES))
     assert asked == []
     content = bytearray((scene_dir(many, 5) / "scene.json").read_bytes())
     content[500] ^= 1
     (scene_dir(many, 5) / "scene.json").write_bytes(content)
-    assert list(survey(many, read_dataset(many), contents=False).damaged) == [5]
+    assert list(look(many).damaged) == [5]
 
 
 @pytest.mark.usefixtures("small_blocks")
 def test_an_index_in_one_file_of_before_goes_on(many: Path, asked: list[int], tmp_path: Path) -> None:
-    finish(many, survey(many, read_dataset(many), contents=False))
+    finish(many, look(many))
     now = written(many)
     table = open_dataset(many).table.drop(ADDED)
     shutil.rmtree(many / "index")
@@ -159,14 +165,14 @@ def test_an_index_in_one_file_of_before_goes_on(many: Path, asked: list[int], tm
     assert main(["query", str(many), "index > 5"]) == 0
     assert verify_dataset(str(many), quick=True).results[0][1] == []
     asked.clear()
-    finish(many, survey(many, read_dataset(many), contents=False))
+    finish(many, look(many))
     assert asked == list(range(SCENES))
     assert written(many) == now
 
 
 @pytest.mark.usefixtures("small_blocks")
 def test_a_damaged_block_is_made_up_alone(many: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    finish(many, survey(many, read_dataset(many), contents=False))
+    finish(many, look(many))
     whole = open_dataset(many).table
     (many / "index/000001.parquet").write_bytes(b"PAR1 and no more PAR1")
     assert open_dataset(many).table.equals(whole)
@@ -178,7 +184,7 @@ def test_a_damaged_block_is_made_up_alone(many: Path, capsys: pytest.CaptureFixt
 
 
 def test_a_sample_of_scenes_is_verified(many: Path) -> None:
-    finish(many, survey(many, read_dataset(many), contents=False))
+    finish(many, look(many))
     shutil.rmtree(scene_dir(many, 3) / "views")
     checked = verify_dataset(str(many), quick=True, sample=2).results
     assert [index for index, _ in checked] == [None, 0, 3]
@@ -207,7 +213,7 @@ def test_ten_thousand_rows_are_printed_in_a_second(
 
     from multilight.datagen.commands.look_up import print_rows
 
-    finish(many, survey(many, read_dataset(many), contents=False))
+    finish(many, look(many))
     table = open_dataset(many).table
     rows = pl.concat([table] * (10_000 // len(table) + 1)).head(10_000)
     for terminal in (True, False):

@@ -19,9 +19,8 @@ import pytest
 
 from multilight.datagen.backends.analytic import AnalyticBackend
 from multilight.datagen.cli import main
-from multilight.datagen.config.dataset import RendererName
 from multilight.datagen.errors import StoreError
-from multilight.datagen.production.dataset import Plan, _Watch
+from multilight.datagen.production.running import Work
 from multilight.datagen.production.scene import SceneMaker, make_scene
 from multilight.datagen.production.worker import report_of
 from multilight.datagen.storage.index import index_bytes, parse_index
@@ -293,14 +292,14 @@ def in_one_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make scenes in this process: many repairs, each with workers of its own, would take minutes."""
     library = AssetLibrary()
 
-    def make(plan: Plan, renderer: RendererName, missing: tuple[int, ...], watch: _Watch) -> dict[int, str]:
+    def make(work: Work, missing: tuple[int, ...], _: tuple[int, ...]) -> dict[int, str]:
         with AnalyticBackend() as backend:
-            maker = SceneMaker(plan.config, renderer, plan.root, library, backend, 1)
+            maker = SceneMaker(work.plan.config, work.renderer, work.plan.root, library, backend, 1)
             for index in missing:
-                watch.take(report_of(make_scene(maker, index), {}))
+                work.take(report_of(make_scene(maker, index), {}))
         return {}
 
-    monkeypatch.setattr("multilight.datagen.production.dataset._run", make)
+    monkeypatch.setattr("multilight.datagen.production.dataset.run_scenes", make)
 
 
 def timed(root: Path) -> dict[str, int]:

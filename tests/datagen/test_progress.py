@@ -9,7 +9,8 @@ import pytest
 from multilight.datagen.commands import output
 from multilight.datagen.commands.make import summary
 from multilight.datagen.config.dataset import DatasetConfig
-from multilight.datagen.production.dataset import Outcome, Plan
+from multilight.datagen.production.dataset import Outcome
+from multilight.datagen.production.running import Plan
 from multilight.datagen.text import duration, size
 
 
