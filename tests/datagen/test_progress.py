@@ -1,10 +1,12 @@
 """What long commands say: where they are while they run, and how it went."""
 
+import io
 import re
 import time
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 from multilight.datagen.commands import output
 from multilight.datagen.commands.make import summary
@@ -21,13 +23,25 @@ def test_lines_say_what_goes_on_how_far_it_is_and_how_long_it_takes(
     with output.progress("views", "starting") as report:
         time.sleep(0.1)
         report(3, 12, "rendering")
-        time.sleep(0.2)
+        time.sleep(0.05)
         report(6, 12)
-        time.sleep(0.1)
-    first, second = capsys.readouterr().err.splitlines()
+        time.sleep(0.4)
+    first, *_, last = capsys.readouterr().err.splitlines()
     assert first == "starting, 0 s elapsed, unknown left"
-    assert second.startswith("rendering, 6/12 views, ")
-    assert re.search(r"/s, 0 s elapsed, [01] s left$", second), second
+    assert last.startswith("rendering, 6/12 views, ")
+    assert re.search(r"/s, 0 s elapsed, [01] s left$", last), last
+
+
+def test_a_bar_fits_its_terminal() -> None:
+    shown = io.StringIO()
+    console = Console(file=shown, force_terminal=True, width=80)
+    with output._bar(console, output._Meter("views", "starting", time.monotonic())) as report:
+        report(3, 1024, "rendering [red] things of a long name (12 drawn anew)")
+        time.sleep(0.05)
+        report(512, 1024)
+    last = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", shown.getvalue()).replace("\r", "\n").strip().splitlines()[-1]
+    assert len(last) <= 80
+    assert re.fullmatch(r"rendering .*\.\.\. \S+ 512/1024 views, \d+/s 0:00:00 elapsed, \d+ s left", last), last
 
 
 def test_what_is_over_at_once_says_nothing(capsys: pytest.CaptureFixture[str]) -> None:
