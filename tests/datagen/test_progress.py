@@ -29,7 +29,7 @@ def test_lines_say_what_goes_on_how_far_it_is_and_how_long_it_takes(
     first, *_, last = capsys.readouterr().err.splitlines()
     assert first == "starting, 0 s elapsed, unknown left"
     assert last.startswith("rendering, 6/12 views, ")
-    assert re.search(r"/s, 0 s elapsed, [01] s left$", last), last
+    assert re.search(r"/s, \d s elapsed, \d s left$", last), last
 
 
 def test_a_bar_fits_its_terminal() -> None:
