@@ -30,9 +30,8 @@ class DtcMultilight(DtcExport):
 
         with progress("views", "exporting") as report:
             outcome = export_dtc(self, report)
-        print_written(self.out, f"views written {outcome.written}, kept {outcome.kept}")
-        if outcome.skipped:
-            print(f"passed over {len(outcome.skipped)} scenes:")
+        told = f"scenes written {outcome.written}, kept {outcome.kept}, passed over {len(outcome.skipped)}"
+        print_written(self.out, told)
         for index, reason in outcome.skipped.items():
             print(plain(f"  scene {index}: {reason}"))
         return 0

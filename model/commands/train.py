@@ -1,7 +1,7 @@
 """`multilight train`: learn from a dataset."""
 
 import os
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -39,7 +39,7 @@ class Train:
         from multilight.datagen.config.loading import read_values, validated
         from multilight.datagen.config.table import as_toml
         from multilight.datagen.files.outputs import check_folder
-        from multilight.datagen.report import silent
+        from multilight.datagen.report import Report, silent
         from multilight.model.configs.checks import check_training
         from multilight.model.configs.ready import config_file
         from multilight.model.configs.stage2d import TrainingConfig
@@ -55,7 +55,8 @@ class Train:
         check_folder(config.out)
         check_training(config)
         first = os.environ.get("RANK", "0") == "0"  # of torchrun's processes
-        with progress("steps", "starting") if first else nullcontext(silent) as report:
+        shown: AbstractContextManager[Report] = progress("steps", "starting") if first else nullcontext(silent)
+        with shown as report:
             if isinstance(config, SceneTrainingConfig):
                 from multilight.model.training.stage3d import train_scenes
 

@@ -236,5 +236,5 @@ def test_command_reports_bytes(spheres_dataset: Path, tmp_path: Path, capsys: py
     out = tmp_path / "copy"
     assert main(["pack", str(spheres_dataset), "--out", str(out), "--workers", "2"]) == 0
     size = sum(path.stat().st_size for path in out.rglob("*.safetensors")) / 6 / 1e6
-    assert f"6 views, {size:.2f} MB a view (native: " in capsys.readouterr().out
+    assert f"6 views of {size:.2f} MB (native: " in capsys.readouterr().out
     assert not (out / "work").exists()

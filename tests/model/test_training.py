@@ -115,7 +115,12 @@ def test_going_on_with_another_configuration_is_refused(spheres_dataset: Path, t
 
 def test_by_the_clock(spheres_dataset: Path, tmp_path: Path) -> None:
     chosen = config(spheres_dataset, tmp_path, steps=None, minutes=0.02)
-    train(chosen)
+    told: list[tuple[float, float, str]] = []
+    train(chosen, report=lambda done, total, note="": told.append((done, total, note)))
+    assert told[0] == (0, 0, "training")
+    assert told[-1][0] == told[-1][1] > 0
+    assert all(done <= total for done, total, _ in told)
+    assert {"validating", "training"} < {note for _, _, note in told}  # and with the loss
     progress = json.loads(newest_checkpoint(tmp_path / "checkpoints").read_text())["progress"]
     assert 1.2 <= progress["seconds"] < 10
     assert progress["step"] > 0
