@@ -47,6 +47,12 @@ def colours(found: Imported) -> list[tuple[float, ...]]:
     return sorted(tuple(round(v, 2) for v in made.base_color) for made in materials(found))
 
 
+def glow(found: Imported) -> tuple[float, ...]:
+    (emission,) = found.nodes[0].emissions
+    assert emission is not None
+    return emission.amount
+
+
 def notes(found: Imported) -> str:
     return "\n".join(map(str, found.notes))
 
@@ -75,7 +81,7 @@ OBJ: dict[str, tuple[str, str, Callable[[Imported], Any]]] = {
     "a mask, key words in capitals": ("mtllib {}\n" + SHEET + FACES, "newmtl m\nKD 1 0 0\nMAP_D my mask.png\nDISP x\n",
                                       lambda f: has(opacity_from_alpha=True)(f) and "DISP" in notes(f)),
     "glow": ("mtllib {}\n" + SHEET + FACES, "newmtl m\nKd 0 0 0\nKe 5 5 5\n",
-             lambda f: f.nodes[0].parts and f.nodes[0].emissions[0].amount == (1000.0,) * 3),
+             lambda f: glow(f) == (1000.0,) * 3),
     "lines and smoothing": ("s 1\ng a b\n" + SHEET + "s off\nf 1/1 2/2 3/3 4/4\nl 1 2\np 1\n", "",
                             lambda f: faces(f) == 2),
 }  # fmt: skip

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from multilight.datagen.config.dataset import load_config
 from multilight.datagen.production.denoise import denoise_all
 from multilight.datagen.production.scene import sample_scene
 from multilight.lights.display.tonemap import meter_ev, to_display
+from multilight.scenes.arrays import Float32
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.streams import Streams
 from tests import ROOT
@@ -34,18 +36,17 @@ def test_a_room_looks_the_same_in_every_format(tmp_path: Path) -> None:
     subprocess.run(
         [sys.executable, "-m", "tests.scenes.same_room", str(tmp_path)], cwd=ROOT, check=True, capture_output=True
     )
-    drawn, shown = {}, {}
+    drawn: dict[str, Any] = {}
+    shown: dict[str, Float32] = {}
     for kind in ("blend", "glb", "usdc"):
         file = tmp_path / f"room.{kind}"
-        said = {"seed": 5, "views": 1, "width": WIDTH, "height": HEIGHT, "background": file}
+        said = {"kind": "custom", "seed": 5, "views": 1, "width": WIDTH, "height": HEIGHT, "background": file}
         library = AssetLibrary(tmp_path / "cache", packs=("builtin",), background=file)
-        scene, rig = sample_scene(load_config(None, {"kind": "custom"} | said, None), library, Streams(5, 0, 0))
+        scene, rig = sample_scene(load_config(None, said), library, Streams(5, 0, 0))
         rig = rig.model_copy(update={"lights": tuple(sorted(rig.lights, key=lambda light: light.kind))})
         with open_backend("mitsuba", library) as backend:
             stack = backend.render(RenderJob(scene, rig, RenderSettings(spp=SPP, threads=2), 0))
-        drawn[kind] = [
-            (b.geometry.asset, np.round(b.world_from_body, 3).tolist()) for b in scene.bodies if b.insertable
-        ]
+        drawn[kind] = [(b.category, np.round(b.world_from_body, 3).tolist()) for b in scene.bodies if b.insertable]
         shown[kind] = denoise_all(stack, threads=2).sum(axis=0)
         assert len(rig.lights) >= 4
     assert drawn["blend"] == drawn["glb"] == drawn["usdc"]

@@ -54,6 +54,10 @@ COLOURED = (".glb", ".gltf", ".obj", ".ply", ".fbx")
 """Formats whose vertex colours count whatever the material says."""
 _GIVEN = (".blend", ".glb", ".gltf", ".fbx")
 """Formats whose shading is the file's own where it gives no normals."""
+_BROUGHT = (
+    "objects collections meshes curves armatures lights cameras materials images node_groups actions textures worlds "
+    "libraries"
+)
 _begun: list[bool] = []
 _TRIES = 20_000
 """Files that are looked through for a picture that is not where a model says."""
@@ -280,6 +284,7 @@ class _Reader:
         if getattr(light, "use_temperature", False):
             colour *= np.array(light.temperature_color)
         power = float(light.energy) * 2.0 ** float(getattr(light, "exposure", 0.0))
+        nearer = power * self._metres**2  # as bright at distances in other units
         gltf = self._suffix in (".glb", ".gltf") and not self._watts
         efficacy = GLTF_EFFICACY if gltf else 1.0
         match light.type:
@@ -288,9 +293,7 @@ class _Reader:
                     "unit": "cd" if gltf else "W/sr",
                     "radius": light.shadow_soft_size * self._metres if self._suffix == ".blend" else 0.0,
                 }
-                amount = rgb_of(
-                    colour, power * WATTS_TO_INTENSITY * efficacy * self._metres**2
-                )  # as bright in a distance
+                amount = rgb_of(colour, nearer * WATTS_TO_INTENSITY * efficacy)
                 if light.type == "POINT":
                     yield FoundLight(kind="point", amount=amount, **about)
                 else:
@@ -309,7 +312,7 @@ class _Reader:
                 height = light.size_y if light.shape in ("RECTANGLE", "ELLIPSE") else light.size
                 size = light.size * stretch.x * self._metres, height * stretch.y * self._metres
                 area = size[0] * size[1] * (math.pi / 4 if round_one else 1.0)
-                amount = rgb_of(colour, power * self._metres**2 / (math.pi * max(area, 1e-9)))
+                amount = rgb_of(colour, nearer / (math.pi * max(area, 1e-9)))
                 yield FoundLight(
                     kind="area", unit="W/(m2 sr)", amount=amount, width=size[0], height=size[1], ellipse=round_one,
                     **about,
@@ -323,10 +326,7 @@ def _empty() -> None:
         bpy.context.preferences.filepaths.use_scripts_auto_execute = False
         _begun.append(True)
     else:  # ten times faster
-        kinds = "objects collections meshes curves armatures lights cameras materials images node_groups actions"
-        bpy.data.batch_remove(
-            [made for kind in f"{kinds} textures worlds libraries".split() for made in getattr(bpy.data, kind)]
-        )
+        bpy.data.batch_remove([made for kind in _BROUGHT.split() for made in getattr(bpy.data, kind)])
 
 
 def rgb_of(colour: Any, strength: float) -> Rgb:
