@@ -35,7 +35,7 @@ from multilight.scenes.assets.info import AssetRole
 from multilight.scenes.assets.library import AssetError, AssetLibrary
 from multilight.scenes.assets.packs.background import PACK
 
-SCENES_A_WORKER: dict[RendererName, int] = {"cycles": 25, "mitsuba": 100, "analytic": 1000}
+SCENES_A_WORKER: dict[RendererName, int] = {"cycles": 25, "mitsuba": 50, "analytic": 1000}
 """Then a fresh process: a long-lived Blender grows. A fresh one has to read its meshes and textures anew."""
 SECONDS_A_MEGASAMPLE = 60.0  # a hundred times what a slow core needs; only a hung scene exceeds it
 LEAST_TIMEOUT = 600.0
