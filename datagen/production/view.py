@@ -125,6 +125,7 @@ def _denoised(
             denoised_anew=removed.anew,
         )
         yield Variant.without(name), removed.layers
+        del removed  # before more is made
         yield Variant.foreground(name), denoise_foreground(foregrounds[name], clean, threads=threads)
 
 
