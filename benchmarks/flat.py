@@ -1,11 +1,12 @@
-"""Memory and core-seconds of a worker that makes many small scenes, one after the other: does either grow?
+"""Memory and core-seconds of a run of many small scenes by one worker: does either grow?
 
-All in one process, without the fresh one that a run takes now and then. Prints means over fifties and by how much the
-last fifty differ from the first; writes a line a scene, and a plot.
+The worker is renewed as often as in any run. Prints means over fifties and by how much the last fifty differ from the
+first; writes a line a scene, and a plot. Called again with the same file it goes on where it was stopped.
 
     python -m benchmarks.flat --scenes 500 --lines out/flat.txt --plot docs/flat.png
 """
 
+import multiprocessing
 import shutil
 import tempfile
 import time
@@ -19,12 +20,14 @@ from multilight.datagen.backends.choose import open_backend
 from multilight.datagen.config.dataset import load_config
 from multilight.datagen.config.presets import Preset
 from multilight.datagen.errors import UserError
+from multilight.datagen.production.dataset import SCENES_A_WORKER
 from multilight.datagen.production.library import open_library
 from multilight.datagen.production.scene import SceneMaker, make_scene
 from multilight.datagen.storage.store import scene_dir
 from multilight.scenes.arrays import Float64
 
 TOGETHER = 50
+SCENES = SCENES_A_WORKER["mitsuba"]
 
 
 @dataclass
@@ -46,28 +49,40 @@ def memory() -> float:
     return int(status.split("VmRSS:")[1].split()[0]) / 1024
 
 
-def curve(options: Options) -> Float64:
-    """Make the scenes; return core-seconds and memory [MB] after each, (N, 2)."""
+def work(options: Options, indices: range) -> None:
+    """Make scenes as a worker does; append a line to the file for each: its index, core-seconds, memory [MB]."""
     values = {"seed": options.seed, "scenes": options.scenes, "views": 1, "spp": options.spp}
     config = load_config(None, values | {"width": options.size, "height": options.size}, options.preset)
     library = open_library(config)
-    found = []
     with (
         tempfile.TemporaryDirectory() as folder,
         open_backend("mitsuba", library) as backend,
-        options.lines.open("w", encoding="ascii") as lines,
+        options.lines.open("a", encoding="ascii") as lines,
     ):
         maker = SceneMaker(config, "mitsuba", Path(folder), library, backend, 1, time.process_time)
-        for index in range(options.scenes):
+        for index in indices:
             start = time.process_time()
             try:
                 make_scene(maker, index)
             except UserError as error:
                 print(error, flush=True)
-            found.append((time.process_time() - start, memory()))
-            print(f"{index} {found[-1][0]:.3f} {found[-1][1]:.1f}", file=lines, flush=True)
+            print(f"{index} {time.process_time() - start:.3f} {memory():.1f}", file=lines, flush=True)
             shutil.rmtree(scene_dir(maker.root, index), ignore_errors=True)
-    return np.array(found)
+
+
+def curve(options: Options) -> Float64:
+    """Make the scenes that the file has no line for; return core-seconds and memory [MB] of each, (N, 2)."""
+    fresh = multiprocessing.get_context("spawn")
+    there = len(options.lines.read_text(encoding="ascii").splitlines()) if options.lines.exists() else 0
+    while there < options.scenes:
+        end = min(options.scenes, there // SCENES * SCENES + SCENES)
+        process = fresh.Process(target=work, args=(options, range(there, end)))
+        process.start()
+        process.join()
+        if process.exitcode:
+            raise SystemExit(f"the worker of scenes {there} to {end - 1} ended with {process.exitcode}")
+        there = end
+    return np.loadtxt(options.lines, ndmin=2)[:, 1:]
 
 
 def draw(found: Float64, path: Path) -> None:

@@ -125,15 +125,15 @@ def denoise_foreground(foreground: LayerStack, clean: Float32, *, threads: int =
     bleeds in.
     """
     assert foreground.coverage is not None
-    boxes = _rectangles((foreground.coverage > 0) & (foreground.coverage < 1))
-    inside = foreground.coverage >= 1
+    covered, inside = foreground.coverage > 0, foreground.coverage >= 1
+    boxes = _rectangles(covered & ~inside)
     layers = np.zeros(clean.shape, np.float32)
 
     def one(light: int) -> None:
         for box in boxes:
             at = np.s_[box[0] : box[1], box[2] : box[3]]
             outline = _denoise(foreground, light, box, _scale(clean[light]), smaller=True)
-            layers[light][at] = np.where(foreground.coverage[at][..., None] > 0, outline, np.float32(0.0))
+            layers[light][at] = np.where(covered[at][..., None], outline, np.float32(0.0))
         layers[light][inside] = clean[light][inside]
 
     _each_light(one, foreground, threads)

@@ -32,7 +32,7 @@ BETWEEN = 60.0
 """Seconds from one writing of the index to the next, while scenes are made."""
 PATIENCE = 600.0
 """Seconds to wait for another run that writes the index, which takes it a few."""
-SCENES_A_WORKER: dict[RendererName, int] = {"cycles": 25, "mitsuba": 100, "analytic": 1000}
+SCENES_A_WORKER: dict[RendererName, int] = {"cycles": 25, "mitsuba": 50, "analytic": 1000}
 """Then a fresh process: a long-lived Blender grows. A fresh one has to read its meshes and textures anew."""
 SECONDS_A_MEGASAMPLE = 60.0  # a hundred times what a slow core needs; only a hung scene exceeds it
 LEAST_TIMEOUT = 600.0

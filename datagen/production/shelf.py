@@ -20,9 +20,13 @@ class Shelf:
 
     def put(self, stack: LayerStack) -> LayerStack:
         """Put what is large of a stack on disk; it is read when it is looked at."""
-        names = ("radiance", "guide_albedo", "guide_normal")
-        there = {name: values for name in names if (values := getattr(stack, name)) is not None}
-        return replace(stack, **{name: self._on_disk(values) for name, values in there.items()})
+        albedo, normal = stack.guide_albedo, stack.guide_normal
+        return replace(
+            stack,
+            radiance=self._on_disk(stack.radiance),
+            guide_albedo=None if albedo is None else self._on_disk(albedo),
+            guide_normal=None if normal is None else self._on_disk(normal),
+        )
 
     def rest(self) -> None:
         """Give back the memory of all that was looked at."""

@@ -64,7 +64,7 @@ def render_view(setup: SceneSetup, view: int, watch: Stopwatch) -> RenderedView:
     shelf = Shelf(setup.scratch) if camera.width * camera.height > LARGE else None
     everything = render(ALL)
     assert everything.geometry is not None
-    foregrounds = _within_pixels({name: render(Variant.foreground(name)) for name in names})
+    foregrounds = _within_pixels({name: render(Variant.foreground(name)) for name in names}, shelf)
     without = {name: render(Variant.without(name)) for name in names}
     raw: Mapping[str, Float32] = {}
     if setup.keep_raw or not setup.denoise:
@@ -125,6 +125,7 @@ def _denoised(
             denoised_anew=removed.anew,
         )
         yield Variant.without(name), removed.layers
+        del removed  # before more is made
         yield Variant.foreground(name), denoise_foreground(foregrounds[name], clean, threads=threads)
 
 
@@ -152,7 +153,7 @@ def shown_in(everything: LayerStack, without: LayerStack, foreground: LayerStack
     return shown
 
 
-def _within_pixels(foregrounds: Stacks) -> Stacks:
+def _within_pixels(foregrounds: Stacks, shelf: Shelf | None) -> Stacks:
     """Scale objects down where together they cover more than the pixel.
 
     Each is rendered on its own, so where see-through things overlap the estimates need not add up.
@@ -160,11 +161,12 @@ def _within_pixels(foregrounds: Stacks) -> Stacks:
     total = np.maximum(sum(stack.coverage for stack in foregrounds.values() if stack.coverage is not None), 1.0)
     if not (total > 1.0).any():
         return foregrounds
-    return {
-        name: replace(stack, coverage=stack.coverage / total, radiance=stack.radiance / total[..., None])
-        for name, stack in foregrounds.items()
-        if stack.coverage is not None
-    }
+    within = {}
+    for name, stack in foregrounds.items():
+        assert stack.coverage is not None
+        stack = replace(stack, coverage=stack.coverage / total, radiance=stack.radiance / total[..., None])
+        within[name] = stack if shelf is None else shelf.put(stack)
+    return within
 
 
 def additivity_residual(stack: LayerStack) -> float:

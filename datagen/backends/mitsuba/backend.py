@@ -68,7 +68,7 @@ class MitsubaBackend:
         synced = self.prepare(job)
         film = synced.view(job.view, job.settings, (action, name or ""))
         layers = film.take((action, name or ""))
-        albedo, normal = film.mean(("guides", name if name and action == "without" else ""))
+        albedo, normal = film.take(("guides", name)) if name and action == "without" else film.mean(("guides", ""))
         stack = LayerStack(
             lights=job.rig.names,
             radiance=layers,
