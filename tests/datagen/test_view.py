@@ -6,7 +6,9 @@ import http.client
 import io
 import json
 import shutil
+import signal
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -37,7 +39,7 @@ sync_api = pytest.importorskip("playwright.sync_api", reason="pip install playwr
 WEB = ROOT / "web"
 AXE = WEB / "node_modules" / "axe-core" / "axe.min.js"
 BROWSERS = ("chromium", "google-chrome")
-SOFTWARE = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
+SOFTWARE = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-gpu-watchdog"]
 NO_WEBGL = "HTMLCanvasElement.prototype.getContext = new Proxy(HTMLCanvasElement.prototype.getContext, {apply: \
 (call, canvas, words) => words[0] === 'webgl2' ? null : Reflect.apply(call, canvas, words)})"
 needs_npm = pytest.mark.skipif(not AXE.exists(), reason="web/node_modules is missing: make web")
@@ -64,7 +66,7 @@ class Mixer:
 
     def until(self, code: str) -> None:
         """Wait until an expression holds; the page's own policy lets nothing be evaluated in it."""
-        end = time.monotonic() + 120
+        end = time.monotonic() + 240
         while not self.page.evaluate(code):
             assert time.monotonic() < end, f"never came: {code}; {self.text('.alarm')}"
             time.sleep(0.02)
@@ -393,8 +395,9 @@ def test_nothing_bars_anyone(browser: Any, address: str, scheme: str, width: int
 
 @needs_npm
 def test_the_page_is_what_its_sources_give(tmp_path: Path) -> None:
+    subprocess.run(["npx", "--no-install", "tsc"], cwd=WEB, check=True)
     words = ["npx", "--no-install", "vite", "build", "--logLevel", "error", "--emptyOutDir", "--outDir", str(tmp_path)]
-    subprocess.run(words, cwd=WEB, check=True, timeout=120)
+    subprocess.run(words, cwd=WEB, check=True)
     for name in PAGE:
         assert (tmp_path / name).read_bytes() == (SITE / name).read_bytes(), f"{name} is not what web/ gives: make web"
 
@@ -444,3 +447,13 @@ def test_view_says_what_is_wrong(
     }.items():
         assert main(["view", *words, "--no-open"]) == 1
         assert told in capsys.readouterr().err
+
+
+def test_the_command_serves_until_it_is_stopped(spheres_dataset: Path) -> None:
+    words = [sys.executable, "-m", "multilight", "view", str(spheres_dataset), "--no-open", "--port", "0"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT) as running:
+        address, _, rest = running.stdout.readline().partition(" ")
+        assert rest == "shows it; Ctrl+C ends\n"
+        assert [scene["index"] for scene in json.loads(ask(address, "/data/dataset.json").content)["scenes"]] == [0, 1]
+        running.send_signal(signal.SIGINT)
+        assert (running.wait(), running.stderr.read()) == (130, "stopped\n")
