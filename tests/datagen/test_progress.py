@@ -1,12 +1,10 @@
 """What long commands say: where they are while they run, and how it went."""
 
-import io
 import re
 import time
 from pathlib import Path
 
 import pytest
-from rich.console import Console
 
 from multilight.datagen.commands import output
 from multilight.datagen.commands.make import summary
