@@ -108,7 +108,10 @@ PLAIN: dict[str, tuple[bytes, Callable[[Imported], Any]]] = {
 }
 
 CREDITS = {"author": "A. Maker", "license": "CC-BY-4.0 (http://creativecommons.org/licenses/by/4.0/)", "title": "Mug"}
-KTX = {"textures": [{"extensions": {"KHR_texture_basisu": {"source": 0}}}], "extensionsUsed": ["KHR_texture_basisu"]}
+KTX: dict[str, Any] = {
+    "textures": [{"extensions": {"KHR_texture_basisu": {"source": 0}}}],
+    "extensionsUsed": ["KHR_texture_basisu"],
+}
 GLTF: dict[str, tuple[dict[str, Any], dict[str, Any], Callable[[Imported], Any]]] = {
     "credits": ({"asset": {"version": "2.0", "extras": CREDITS}}, {}, lambda f: f.credits == CREDITS),
     "copyright": ({"asset": {"version": "2.0", "copyright": "CC0, by X"}}, {},
@@ -119,7 +122,7 @@ GLTF: dict[str, tuple[dict[str, Any], dict[str, Any], Callable[[Imported], Any]]
                    {"extensions": {"KHR_materials_anisotropy": {"anisotropyStrength": 0.8}}},
                    lambda f: "anisotropy" in notes(f)),
 }  # fmt: skip
-REFUSED = {
+REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "ktx2": (KTX, "its texture 0 needs KHR_texture_basisu, which is not read; save it as PNG"),
     "meshopt": ({"extensionsUsed": ["EXT_meshopt_compression"], "extensionsRequired": ["EXT_meshopt_compression"]},
                 "it needs EXT_meshopt_compression"),
@@ -271,7 +274,9 @@ def read(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Imported]:
             (folder / f"{name}.mtl").write_bytes(mtl.encode())
     for name, (data, _) in PLAIN.items():
         (folder / name).write_bytes(data)
-    for name, (header, material, *_) in (GLTF | {n: (h, {}) for n, (h, _) in REFUSED.items()}).items():
+    made = {name: (header, material) for name, (header, material, _) in GLTF.items()}
+    made |= {name: (header, {}) for name, (header, _) in REFUSED.items()}
+    for name, (header, material) in made.items():
         write_glb_of(folder / f"{name}.glb", header, material)
     for name, (options, change, _) in USD.items():
         stage = Stage(folder / f"{name}.usda", **options)
