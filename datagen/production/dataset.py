@@ -80,7 +80,7 @@ def make_dataset(plan: Plan, report: Report) -> Outcome:
             there = survey(plan.root, record, index, contents=plan.repair)
             return _made(plan, Work(plan, renderer, there, driver, report), library, record)
         finally:
-            with locked(plan.root, PATIENCE):
+            with contextlib.suppress(UserError), locked(plan.root, PATIENCE):  # on a full disk there may be no lock
                 driver.leave()
 
 

@@ -202,7 +202,7 @@ def reprojection_error(
     weights = np.stack([1 - fraction[:, 0], fraction[:, 0]])
     top, bottom = (weights * ratio[:2]).sum(axis=0), (weights * ratio[2:]).sum(axis=0)
     blended = top * (1 - fraction[:, 1]) + bottom * fraction[:, 1]
-    smooth = ~hidden & (ratio.max(axis=0) < 1.1 * ratio.min(axis=0))
+    smooth = ~hidden & _flat(stored, 1.0)[y, x]
     return Reprojection(
         compared=compared,
         consistent=1.0 - np.count_nonzero(in_front) / compared if compared else math.nan,
