@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 from multilight.scenes.frozen import Settings, UnitFloat
 
 Head = Literal["gain", "residual", "direct"]
+Lighting = Literal["random", "wild", "stored"]
 Input = Literal["background", "depth"]
 Positive = Annotated[float, Field(gt=0)]
 
@@ -59,8 +60,9 @@ class DataConfig(Settings):
     """Folder or fsspec address of the dataset, native or packed."""
     where: str | None = None
     """SQL expression over the dataset's index that chooses scenes, `kind = 'room'`, say."""
-    lighting: Literal["random", "stored"] = "random"
-    """Lighting of the training samples: drawn anew for each, or two of the scene's stored conditions."""
+    lighting: Lighting = "random"
+    """Lighting of the training samples: drawn anew for each, such as the dataset's conditions are or wild (in saturated
+    colours), or two of the scene's stored conditions."""
     augment: bool = True
     """Vary exposure, white balance, camera response, crop and direction."""
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0

@@ -41,6 +41,7 @@ from multilight.scenes.poses import matrix4, translation
 from multilight.scenes.spec import Sphere
 from tests import ROOT
 
+DAYLIGHTS = np.full(5, 6504.0, np.float32)
 SMALL: dict[str, Any] = {"split": None, "visible": 5.0, "size": 32}
 
 
@@ -376,16 +377,39 @@ def test_exposures_are_sane(packed: Path) -> None:
     assert np.std(medians) > 0.05
 
 
-def test_drawn_gains_and_tints() -> None:
-    for table in tints():
+@pytest.mark.parametrize("wild", [False, True])
+def test_drawn_gains_and_tints(wild: bool) -> None:
+    for table in tints()[1:]:
         np.testing.assert_allclose(luminance(table), 1.0, atol=2e-3)
-    drawn = [draw_gains(generator(i), 5) for i in range(400)]
+    drawn = [draw_gains(generator(i), DAYLIGHTS, wild=wild) for i in range(400)]
     lit = np.array([(gains > 0).any(axis=1).sum() for gains in drawn])
     assert lit.min() == 1
     assert np.mean(lit == 1) == pytest.approx(0.2, abs=0.08)
     levels = np.concatenate([luminance(g[g.any(axis=1)]) for g in drawn])
     assert 1 / 3.1 < levels.min() < levels.max() < 3.1
     assert np.mean(np.log(levels)) == pytest.approx(0.0, abs=0.1)
+
+
+def chroma(gains: Float32) -> Float32:
+    """How far the lights that are on are from the bluest and warmest white, as |log red/green + log blue/green|."""
+    red, green, blue = np.log(gains[gains.any(axis=1)]).T
+    return np.abs(red + blue - 2 * green)
+
+
+def test_natural_light_is_white_but_for_a_gel_now_and_then() -> None:
+    """Told by what white light of no temperature has: as much more red than green as it has less blue, or so."""
+    drawn = [draw_gains(generator(i), DAYLIGHTS, wild=False) for i in range(1000)]
+    tinted = np.array([(chroma(gains) > 1.0).sum() for gains in drawn])
+    assert tinted.max() == 1
+    assert 0.01 < np.mean(tinted > 0) < 1 / 12
+    wild = [draw_gains(generator(i), DAYLIGHTS, wild=True) for i in range(1000)]
+    assert np.mean([(chroma(gains) > 1.0).any() for gains in wild]) > 0.1
+    in_colour = np.array([0.0, 6504.0, 6504.0], np.float32)
+    for i in range(300):
+        gains = draw_gains(generator(i), in_colour, wild=False)
+        if gains[0].any():
+            assert np.ptp(gains[0]) < 1e-6 or gains[1:].any()
+            assert gains[1:].any(), "light in a colour of its own is not alone"
 
 
 def test_cameras_respond_monotonously() -> None:
