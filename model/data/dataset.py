@@ -54,6 +54,7 @@ class MultiLightDataset(Dataset[Sample]):
         light_kind       (N,)    int64, numbers of `lights.KINDS`
         light_position   (N, 3)  metres, in the camera's OpenGL axes; 0 for environments and suns
         light_direction  (N, 3)  unit, in the same axes: where it shines; 0 for environments and glowing bodies
+        light_towards    (N, 3)  unit, in the same axes: from the object to the light; 0 for environments
         light_amount     (N, 3)  before gains: radiance [W/(m² sr)], of suns irradiance [W/m²], of points and spots
                                  intensity [W/sr]
         light_size       (N,)    angular diameter [rad] as seen from the object; 0 for environments and glowing bodies
@@ -68,7 +69,9 @@ class MultiLightDataset(Dataset[Sample]):
         """Open a dataset at any address; raises `StoreError` and `UserError` naming the value and the remedy."""
         self.source = open_training(address, where=settings.filter())
         config = self.source.source.record.config
-        self.settings = replace(settings, lighting="wild") if settings.lighting == "random" and config.wild else settings
+        self.settings = (
+            replace(settings, lighting="wild") if settings.lighting == "random" and config.wild else settings
+        )
         places, index = places_of(self.source.visible, settings), self.source.index
         settings.check_size(index.select(pl.min_horizontal("width", "height").min()).item())
         self.plan = Plan(places, settings, config.conditions)

@@ -56,6 +56,7 @@ class SceneLights:
     direction: Float64
     amount: Float32
     temperature: Float32
+    objects: Mapping[str, Float64]
     size: Mapping[str, Float32]
     glow: Mapping[str, Mask]
 
@@ -69,12 +70,16 @@ class SceneLights:
         A mirrored picture's camera sees everything with its x negated.
         """
         axes = c2w[:3, :3] * MIRROR if mirrored else c2w[:3, :3]
-        position = (self.position - c2w[:3, 3]) @ axes * self.placed[:, None]
+        placed = self.placed[:, None]
+        position = (self.position - c2w[:3, 3]) @ axes * placed
+        towards = np.where(placed > 0, self.position - self.objects[name], -self.direction) @ axes
+        towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-9)
         return {
             "light_mask": torch.tensor(self.kind > 0),
             "light_kind": torch.tensor(self.kind),
             "light_position": torch.from_numpy(position.astype(np.float32)),
             "light_direction": torch.from_numpy((self.direction @ axes).astype(np.float32)),
+            "light_towards": torch.from_numpy(towards.astype(np.float32)),
             "light_amount": torch.tensor(self.amount),
             "light_size": torch.tensor(self.size[name]),
         }
@@ -101,6 +106,7 @@ def read_lights(place: Place, index: int, names: tuple[str, ...], count: int) ->
         direction=_filled([_direction(light) for light in lights], count),
         amount=_filled([light.amount for light in lights], count).astype(np.float32),
         temperature=_filled([_temperature(light) for light in lights], count).astype(np.float32),
+        objects=seen_from,
         size={
             name: _filled([angular_diameter(light, eye) or 0.0 for light in lights], count).astype(np.float32)
             for name, eye in seen_from.items()

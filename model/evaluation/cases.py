@@ -147,4 +147,3 @@ def subsets_of(record: SceneRecord, name: str, fractions: dict[str, float]) -> t
     if any(material_class(m) == "mirror" for m in body.materials) or any(map(is_mirror, record.scene.bodies)):
         found.append("mirror")
     return tuple(found)
-

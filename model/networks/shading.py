@@ -131,7 +131,7 @@ def irradiance(facing: Tensor, directions: Tensor, colours: Tensor, ambient: Ten
     """Light surfaces: (B, 3, h, w), in the unit of what is told.
 
     facing (B, 3, h, w) unit normals; directions (B, K, 3) unit, towards the lights; colours (B, K, 3), what a surface
-    gets that faces a light; ambient (B, 3), what all get; seen (B, K, h, w), how much of each light arrives (None: all).
+    gets that faces a light; ambient (B, 3), what all get; seen (B, K, h, w), how much of each arrives (None: all).
     """
     cosine = torch.einsum("bchw,bkc->bkhw", facing, directions).clamp(min=0.0)
     if seen is not None:

@@ -36,6 +36,7 @@ from multilight.model.data.augment import draw_camera, respond
 from multilight.model.data.lighting import draw_gains, tints
 from multilight.model.data.lights import KINDS, SceneLights, read_lights
 from multilight.model.data.plan import generator
+from multilight.scenes.arrays import Float32
 from multilight.scenes.colour import luminance, srgb_encode
 from multilight.scenes.poses import matrix4, translation
 from multilight.scenes.spec import Sphere
@@ -75,6 +76,7 @@ def test_shapes_and_ranges(packed: Path, views: int) -> None:
             "composite": (3, 32, 32), "background": (3, 32, 32), "target": (3, 32, 32), "effect": (3, 32, 32),
             "depth": (1, 32, 32), "z_depth": (1, 32, 32), "mask": (1, 32, 32), "K": (3, 3), "c2w": (4, 4),
             "insert_gains": (8, 3), "base_gains": (8, 3), "light_position": (8, 3), "light_direction": (8, 3),
+            "light_towards": (8, 3), "light_fraction": (8,),
             "light_amount": (8, 3), "light_size": (8,),
         }.items():  # fmt: skip
             assert sample[name].shape == (*group, *shape)
@@ -200,7 +202,7 @@ def test_filters_choose_the_scenes(packed: Path) -> None:
         ({"size": 32.5}, "size 32.5 must be a whole number"),
         ({"visible": float("nan")}, "visible nan must be a number of pixels"),
         ({"split": "trian"}, r"split 'trian': did you mean 'train'\? it must be one of 'train', 'val', 'test'"),
-        ({"lighting": "store"}, r"lighting 'store': did you mean 'stored'\? it must be one of 'random', 'stored'"),
+        ({"lighting": "store"}, r"lighting 'store': did you mean 'stored'\? it must be one of 'random', 'wild', 'stored'"),
         ({"size": 2000}, "size 2000 is too large: the pictures' shorter side has 48 pixels.* ask for 48"),
     ],
 )  # fmt: skip

@@ -17,7 +17,7 @@ from multilight.lights.display.tonemap import tone_curve
 from multilight.lights.spec import AreaLight, EmissiveLight, Light, LightRig, PointLight, SunLight
 from multilight.model.cli import COMMANDS
 from multilight.model.configs.stage2d import NetworkConfig
-from multilight.model.evaluation.cases import Group, LazyGroup, dataset_groups, light_fractions, subsets_of
+from multilight.model.evaluation.cases import Group, LazyGroup, dataset_groups, subsets_of
 from multilight.model.evaluation.consistency import disagreement, sample, shared_pairs, shared_pixels
 from multilight.model.evaluation.page import Table
 from multilight.model.evaluation.run import evaluate, methods_of, peak_memory

@@ -189,7 +189,10 @@ def a_batch(count: int = 4, size: int = 32) -> Batch:
     composite = torch.where(mask > 0, 0.45, background)
     depth = torch.where(mask > 0, 0.5, 0.8)
     meta = {"scene": torch.arange(count), "view": torch.zeros(count), "object": ["box"] * count}
-    return Batch(composite, background, depth, target, mask, target - background, meta)
+    lights = torch.zeros(len(mask), 8)
+    return Batch(
+        composite, background, depth, target, mask, target - background, torch.eye(3)[None], lights, lights, meta
+    )
 
 
 @pytest.mark.parametrize("head", ["gain", "residual", "direct"])
