@@ -41,13 +41,14 @@ def draw_gains(rng: np.random.Generator, temperature: Float32, *, wild: bool) ->
     """
     lights, drawn = len(temperature), rng.random()
     if drawn < ONE + TWO:
-        first = rng.permutation(lights)
-        if not wild:  # alone, light in a colour of its own floods a picture
-            first = first[np.argsort(temperature[first] == 0.0, kind="stable")]
-        lit = np.isin(np.arange(lights), first[: 1 if drawn < ONE else 2])
+        lit = np.zeros(lights, bool)
+        lit[rng.permutation(lights)[: 1 if drawn < ONE else 2]] = True
     else:
         lit = rng.random(lights) < 0.75
         lit[int(rng.integers(lights))] = True
+    white = np.flatnonzero(temperature > 0.0)
+    if not wild and len(white) and not lit[white].any():  # light in a colour of its own would flood the picture
+        lit[rng.choice(white)] = True
     colours = _wild_tints(rng, lights) if wild else _white_tints(rng, temperature, lit)
     gains = np.exp(rng.uniform(-np.log(GAIN), np.log(GAIN), lights))[:, None] * colours
     return np.where(lit[:, None], gains, 0.0).astype(np.float32)

@@ -99,7 +99,7 @@ class _Shape:
         width = (area / torch.pi + 1e-12).sqrt()
         mean = (mask * places).sum((2, 3), keepdim=True) / total
         middle = -mean[:, 2:] + 2 / 3 * width  # of a ball the visible side lies two thirds of its radius before it
-        centre = torch.cat((mean[:, :2] * middle / -mean[:, 2:], -middle), dim=1)
+        centre = torch.cat((mean[:, :2] * middle / (-mean[:, 2:]).clamp(min=LEAST_DEPTH), -middle), dim=1)
         spread = (((places - mean) ** 2).sum(1, keepdim=True) * mask).sum((2, 3), keepdim=True) / total
         radius = 2.0 * (spread + 1e-12).sqrt() + 0.5 * width
         both, levels = torch.cat((mask, mask * front), dim=1), []

@@ -195,7 +195,7 @@ def a_batch(count: int = 4, size: int = 32) -> Batch:
     )
 
 
-@pytest.mark.parametrize("head", ["gain", "residual", "direct"])
+@pytest.mark.parametrize("head", ["light", "gain", "residual", "direct"])
 def test_overfits_one_batch(head: str) -> None:
     torch.manual_seed(0)
     batch = a_batch()
@@ -259,7 +259,7 @@ def test_a_broken_view_ends_a_training_with_one_line(spheres_copy: Path, tmp_pat
 
 
 def test_full_memory_names_the_remedy(spheres_dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(*_: Tensor) -> Tensor:
+    def full(*_: Tensor, **__: object) -> Tensor:
         raise torch.cuda.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB.")
 
     trainer = Trainer2D(config(spheres_dataset, tmp_path), CPU)
