@@ -87,7 +87,7 @@ def test_light_fractions_are_those_of_the_target(spheres_dataset: Path) -> None:
     fractions = light_fractions(views, base)
     assert fractions.sum() == pytest.approx(1.0)
     assert ((fractions == 0) == ~base.any(axis=1)).all()
-    assert samples[0]["light_fraction"][: len(base)].tolist() == pytest.approx(fractions.tolist())
+    assert samples[0]["light_fraction"][0, : len(base)].tolist() == pytest.approx(fractions.tolist())
 
 
 def with_rig(record: SceneRecord, *lights: Light) -> SceneRecord:
