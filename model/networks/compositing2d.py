@@ -168,8 +168,8 @@ class Group(nn.Module):
 class Backbone(nn.Module):
     """Any picture-like map to features: stem, attention groups, long skip, and back up to half resolution.
 
-    (B, `channels`, H, W) → (B, `features`, H / `scale`, W / `scale`), H and W multiples of `multiple`. `scale` is 1 at
-    stride 1, else 2.
+    (B, `channels`, H, W) → (B, `features`, H / `scale`, W / `scale`) and (B, `deepest`, H / `stride`, W / `stride`), H
+    and W multiples of `multiple`. `scale` is 1 at stride 1, else 2.
     """
 
     def __init__(self, config: NetworkConfig, channels: int) -> None:
@@ -183,7 +183,7 @@ class Backbone(nn.Module):
         else:  # halved in width for each doubling of the resolution
             halvings = config.stride.bit_length() - 1
             widths = [channels, *(width >> (halvings - 1 - i) for i in range(halvings))]
-        self.features = widths[1]
+        self.features, self.deepest = widths[1], width
         step = 1 if config.stride == 1 else 2
         self.stem = nn.ModuleList(
             nn.Conv2d(a, b, 3, stride=step, padding=1, padding_mode="reflect" if step == 1 else "zeros")
@@ -197,8 +197,8 @@ class Backbone(nn.Module):
         self.narrow = nn.ModuleList(nn.Conv2d(a, b, 1) for a, b in ups)
         self.merge = nn.ModuleList(nn.Conv2d(b, b, 3, padding=1) for _, b in ups)
 
-    def forward(self, x: Tensor) -> Tensor:
-        """Map (B, `channels`, H, W) to (B, `features`, H / `scale`, W / `scale`)."""
+    def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Map (B, `channels`, H, W) to the finest features and the deepest."""
         levels = []
         for conv in self.stem:
             x = conv(x)
@@ -209,11 +209,11 @@ class Backbone(nn.Module):
         allowed = shift_mask(tokens.shape[1], tokens.shape[2], self.window, x.device)
         for group in self.groups:
             tokens = group(tokens, allowed)
-        x = self.after(self.norm_out(tokens).permute(0, 3, 1, 2) + x) + self.skip(x)
+        x = deepest = self.after(self.norm_out(tokens).permute(0, 3, 1, 2) + x) + self.skip(x)
         for narrow, merge, level in zip(self.narrow, self.merge, levels[-2::-1], strict=True):
             x = functional.interpolate(narrow(x), scale_factor=2, mode="bilinear") + level
             x = functional.gelu(merge(x)) + x
-        return x
+        return x, deepest
 
 
 def statistics(composite: Tensor, background: Tensor, mask: Tensor) -> Tensor:
@@ -250,14 +250,12 @@ class Compositing2D(nn.Module):
             self.backbone.features, channels.get(config.head, 3 * self.backbone.scale**2), 3, padding=1
         )
         ends = list(self.head.parameters())
-        known, width = STATISTICS + 2 * self.backbone.features, 128
         if config.head == "light":
-            self.light = LightHead(known)
+            self.light = LightHead(STATISTICS + 2 * self.backbone.deepest)
         if config.head == "gain":  # what is to be changed all over the object alike, which is learnt first
+            known, width = STATISTICS + self.backbone.features, 128
             last = nn.Linear(width, GAIN_CHANNELS // 2)
-            self.overall = nn.Sequential(
-                nn.Linear(known - self.backbone.features, width), nn.GELU(), nn.Linear(width, width), nn.GELU(), last
-            )
+            self.overall = nn.Sequential(nn.Linear(known, width), nn.GELU(), nn.Linear(width, width), nn.GELU(), last)
             ends += last.parameters()
         if config.head != "direct":  # an untrained network returns the composite
             for parameter in ends:
@@ -309,28 +307,33 @@ class Compositing2D(nn.Module):
         x = torch.cat((composite, background, depth, *cues), dim=1)
         multiple, scale = self.backbone.multiple, self.backbone.scale
         x = functional.pad(x, (0, -w % multiple, 0, -h % multiple), mode="replicate")
-        features = self.backbone(x.contiguous(memory_format=torch.channels_last))
+        features, deepest = self.backbone(x.contiguous(memory_format=torch.channels_last))
         maps = self.head(features)
         if self.config.head not in GAIN_HEADS:
             return functional.pixel_shuffle(maps, scale)[..., :h, :w].float(), None
         rows, columns = -(-h // scale), -(-w // scale)
-        maps, features = maps[..., :rows, :columns].float(), features[..., :rows, :columns]
-        inside = functional.adaptive_avg_pool2d(mask, (rows, columns))
-        known = [
-            statistics(composite, background, mask),
-            (features * inside).sum((2, 3)) / (inside.sum((2, 3)) + 1e-3),
-        ]
-        lights = None
+        maps, features = maps[..., :rows, :columns], features[..., :rows, :columns]
+        seen, lights = statistics(composite, background, mask), None
         if self.config.head == "light":
-            known.append(features.mean((2, 3)))
+            small = [
+                functional.adaptive_avg_pool2d(srgb_to_linear(p), (rows, columns)) for p in (composite, background)
+            ]
+            inside = functional.adaptive_avg_pool2d(mask, (rows, columns))
             near = functional.interpolate(depth, size=(rows, columns), mode="nearest-exact")
-            maps, lights = self.light(torch.cat(known, dim=1).float(), maps, near, inside)
+            known = torch.cat((seen, deepest.mean((2, 3)), mean_inside(deepest, mask)), dim=1)
+            maps, lights = self.light(known.float(), maps.float(), *small, near, inside)
         inner, outer = maps.chunk(2, dim=1)
         if self.config.head == "gain":
-            inner = inner + self.overall(torch.cat(known, dim=1))[..., None, None]
+            inner = inner + self.overall(torch.cat((seen, mean_inside(features, mask)), dim=1))[..., None, None]
         if not self.training:  # where it would have no gradient
             outer = without_least(outer)
         return torch.cat((inner, outer), dim=1).float(), lights
+
+
+def mean_inside(features: Tensor, mask: Tensor) -> Tensor:
+    """Average features (B, C, h, w) over the object, `mask` (B, 1, H, W) of any size: (B, C)."""
+    inside = functional.adaptive_avg_pool2d(mask, features.shape[-2:])
+    return (features * inside).sum((2, 3)) / (inside.sum((2, 3)) + 1e-3)
 
 
 def without_least(outer: Tensor) -> Tensor:

@@ -20,6 +20,8 @@ OF_LIGHT = 7  # direction, colour, softness
 OF_SET = LIGHTS * OF_LIGHT + 3  # lights and the ambient term
 LARGEST = 3.0  # of a guessed logarithm
 KEPT = -3.0  # logit of the fraction of the object's light that is its own glow, before learning
+APPARENT, RIDGE = 9, 0.02  # numbers of `apparent`, and the variance of normals below which it tells little
+DARK = 0.02  # linear light below which slopes are not relative any more
 CHANNELS = 4  # of the network's maps: how much of the shadow falls, and how much of the object's light is its glow
 
 
@@ -40,24 +42,30 @@ class LightHead(nn.Module):
     def __init__(self, known: int, width: int = 128) -> None:
         super().__init__()
         self.last = nn.Linear(width, 2 * OF_SET + 6 + 3)
-        self.guess = nn.Sequential(nn.Linear(known, width), nn.GELU(), nn.Linear(width, width), nn.GELU())
+        self.guess = nn.Sequential(
+            nn.Linear(known + 2 * APPARENT, width), nn.GELU(), nn.Linear(width, width), nn.GELU()
+        )
         nn.init.zeros_(self.last.weight)
         nn.init.zeros_(self.last.bias)
         self.register_buffer("base", functional.normalize(torch.tensor(BASE_DIRECTIONS), dim=1), persistent=False)
         self.register_buffer("base_softness", torch.tensor(BASE_SOFTNESS), persistent=False)
 
-    def forward(self, known: Tensor, maps: Tensor, depth: Tensor, mask: Tensor) -> tuple[Tensor, Lights]:
-        """Light: known (B, F), maps (B, 12 + 4, h, w), depth and mask (B, 1, h, w) → gain maps (B, 12, h, w), lights.
+    def forward(
+        self, known: Tensor, maps: Tensor, composite: Tensor, background: Tensor, depth: Tensor, mask: Tensor
+    ) -> tuple[Tensor, Lights]:
+        """Light: known (B, F), maps (B, 12 + 4, h, w), linear pictures (B, 3, h, w), depth and mask (B, 1, h, w).
 
-        Of the maps, the first twelve are log-gains and offsets, of the object and of its surroundings, to which the
-        lights' are added.
+        Returns gain maps (B, 12, h, w) and the background's lights. Of the maps, the first twelve are log-gains and
+        offsets, of the object and of its surroundings, to which the lights' are added.
         """
+        places = points(depth)
+        facing = normals(places)
+        ground = (1.0 - mask) * (depth < 1.0)
+        known = torch.cat((known, apparent(composite, facing, mask), apparent(background, facing, ground)), dim=1)
         told = self.last(self.guess(known))
         here, there = (self._lights(part) for part in told[:, : 2 * OF_SET].chunk(2, dim=1))
         overall, strength = told[:, 2 * OF_SET : -3, None, None], told[:, -3:, None, None]
         inner, outer, fraction = maps.split((6, 6, CHANNELS), dim=1)
-        places = points(depth)
-        facing = normals(places)
         lit, came = (irradiance(facing, s.directions, s.colours, s.ambient, None) for s in (here, there))
         seen = visibility(places, mask, here.directions, here.softness)
         left = irradiance(facing, here.directions, here.colours, here.ambient, seen)
@@ -76,3 +84,21 @@ class LightHead(nn.Module):
             ambient.clamp(-LARGEST, LARGEST).exp(),
             self.base_softness * softness[..., 0].clamp(-LARGEST, LARGEST).exp(),
         )
+
+
+def apparent(picture: Tensor, facing: Tensor, weight: Tensor) -> Tensor:
+    """Return how brightness leans on normals: (B, 9), the least-squares slopes by x, y, z, over the mean, a channel.
+
+    picture (B, 3, h, w) linear; facing (B, 3, h, w) unit normals; weight (B, 1, h, w). Under one light and on one
+    albedo that is the light's direction, as far as it is not in the ambient term.
+    """
+    weight = weight.flatten(2) / (weight.sum((2, 3))[..., None] + 1e-3)
+
+    def centred(x: Tensor) -> tuple[Tensor, Tensor]:
+        mean = (x.flatten(2) * weight).sum(2, keepdim=True)
+        return x.flatten(2) - mean, mean
+
+    (normal, _), (colour, mean) = centred(facing), centred(picture)
+    spread, both = (torch.einsum("bin,bjn->bij", normal * weight, x) for x in (normal, colour))
+    slopes = torch.linalg.solve(spread + RIDGE * torch.eye(3, device=spread.device), both)
+    return (slopes / (mean.transpose(1, 2) + DARK)).flatten(1).clamp(-5.0, 5.0)

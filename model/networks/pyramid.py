@@ -28,14 +28,15 @@ class Residual(nn.Module):
 class Pyramid(nn.Module):
     """Any picture-like map to features: down by halves, residual blocks at the smallest sizes, and up again.
 
-    (B, `channels`, H, W) → (B, `features`, H / 2, W / 2), H and W multiples of `multiple`.
+    (B, `channels`, H, W) → (B, `features`, H / 2, W / 2) and (B, `deepest`, H / 16, W / 16), H and W multiples of
+    `multiple`.
     """
 
     multiple, scale = 16, 2
 
     def __init__(self, channels: int, widths: tuple[int, ...] = (24, 48, 96, 144), blocks: int = 3) -> None:
         super().__init__()
-        self.features = widths[0]
+        self.features, self.deepest = widths[0], widths[-1]
         pairs = list(itertools.pairwise((channels, *widths)))
         self.down = nn.ModuleList(nn.Conv2d(a, b, 3, stride=2, padding=1) for a, b in pairs)
         self.deep = nn.ModuleList(
@@ -46,8 +47,8 @@ class Pyramid(nn.Module):
         self.narrow = nn.ModuleList(nn.Conv2d(b, a, 1) for a, b in ups)
         self.merge = nn.ModuleList(nn.Conv2d(a, a, 3, padding=1) for a, _ in ups)
 
-    def forward(self, x: Tensor) -> Tensor:
-        """Map (B, `channels`, H, W) to (B, `features`, H / 2, W / 2)."""
+    def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Map (B, `channels`, H, W) to (B, `features`, H / 2, W / 2) and (B, `deepest`, H / 16, W / 16)."""
         levels = []
         for down, deep in zip(self.down, self.deep, strict=True):
             x = deep(functional.gelu(down(x)))
@@ -55,4 +56,4 @@ class Pyramid(nn.Module):
         for narrow, merge, level in zip(self.narrow, self.merge, levels[-2::-1], strict=True):
             x = functional.interpolate(narrow(x), scale_factor=2, mode="bilinear") + level
             x = functional.gelu(merge(x)) + x
-        return x
+        return x, levels[-1]

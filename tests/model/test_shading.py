@@ -7,13 +7,14 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from multilight.model.networks.light_head import CHANNELS, LightHead, Lights
+from multilight.model.networks.light_head import CHANNELS, LightHead, Lights, apparent
 from multilight.model.networks.shading import FOCAL, irradiance, normals, points, visibility
 from multilight.model.training.losses import seen_by_plain_lens
 
 RADIUS = 0.3
 UP = torch.tensor([0.0, math.cos(math.radians(35)), math.sin(math.radians(35))])
 FOOT = torch.tensor([0.0, 0.0, -2.0])
+PICTURE = torch.full((1, 3, 32, 32), 0.5)
 SUNS = [(0.5, 0.8, 0.33), (-0.7, 0.6, 0.2), (0.4, 0.5, 0.7)]
 
 
@@ -87,19 +88,30 @@ def test_a_ball_is_shaded_as_its_normals_say() -> None:
     assert (lit - wanted).abs().mean(1, keepdim=True)[inner].median() < 0.02
 
 
+def test_brightness_leans_towards_the_light() -> None:
+    """On a ball of one albedo, lit from where all that is seen is lit, the slopes point to the light."""
+    depth, mask = ball(96)
+    facing = normals(points(depth))
+    sun = functional.normalize(torch.tensor([0.3, 0.2, 0.9]), dim=0)
+    lit = irradiance(facing, sun[None, None], torch.ones(1, 1, 3), torch.full((1, 3), 0.5), None)
+    slopes = apparent(lit, facing, mask).reshape(3, 3)
+    assert functional.cosine_similarity(slopes[:, 0], sun, dim=0) > 0.97
+    torch.testing.assert_close(slopes[:, 0], slopes[:, 2])
+
+
 def test_the_head_changes_nothing_before_it_has_learnt_and_its_gradients_are_finite() -> None:
     torch.manual_seed(0)
     head = LightHead(5)
     depth, mask = ball(32)
     known, maps = torch.randn(1, 5), torch.zeros(1, 12 + CHANNELS, 32, 32)
-    found, lights = head(known, maps, depth, mask)
+    found, lights = head(known, maps, PICTURE, PICTURE, depth, mask)
     torch.testing.assert_close(found, torch.zeros_like(found), atol=1e-6, rtol=0.0)
     torch.testing.assert_close(lights.directions.norm(dim=2), torch.ones(1, 3))
     torch.nn.init.normal_(head.last.weight, std=0.3)
     maps = torch.randn(1, 12 + CHANNELS, 32, 32, requires_grad=True)
     flat, nothing = torch.full_like(depth, 0.5), torch.zeros_like(mask)
     for where, what in ((depth, mask), (flat, mask), (depth, nothing), (torch.ones_like(depth), mask)):
-        found, lights = head(known, maps, where, what)
+        found, lights = head(known, maps, PICTURE, PICTURE, where, what)
         head.zero_grad()
         (found.square().sum() + lights.softness.sum()).backward()
         assert torch.isfinite(found).all()
@@ -115,7 +127,7 @@ def test_a_glowing_object_keeps_its_glow() -> None:
     depth, mask = ball(32)
     maps = torch.zeros(1, 12 + CHANNELS, 32, 32)
     maps[:, 15] = 20.0
-    found, _ = head(torch.randn(1, 5), maps, depth, mask)
+    found, _ = head(torch.randn(1, 5), maps, PICTURE, PICTURE, depth, mask)
     torch.testing.assert_close(found[:, :6], torch.zeros(1, 6, 32, 32), atol=1e-4, rtol=0.0)
 
 
