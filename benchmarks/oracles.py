@@ -229,11 +229,9 @@ def main(options: Options) -> None:
         count = len(found["composite"]["object"])
         print(f"\n{split}: {count} pictures of {len(source.indices)} scenes\n\n| | {' | '.join(SHOWN)} |")
         print("|---|" + "---:|" * len(SHOWN))
-        for name, values in found.items():
-            cells = [
-                f"{np.mean(values[r]):.2f}" if name == "composite" else f"{np.mean(values[r]) - before[r]:+.2f}"
-                for r in SHOWN
-            ]
+        for name, scores in found.items():
+            means = {region: float(np.mean(scores[region])) for region in SHOWN}
+            cells = [f"{means[r]:.2f}" if name == "composite" else f"{means[r] - before[r]:+.2f}" for r in SHOWN]
             print(f"| {name} | {' | '.join(cells)} |", flush=True)
 
 

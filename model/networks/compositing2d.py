@@ -332,7 +332,8 @@ class Compositing2D(nn.Module):
 
 def mean_inside(features: Tensor, mask: Tensor) -> Tensor:
     """Average features (B, C, h, w) over the object, `mask` (B, 1, H, W) of any size: (B, C)."""
-    inside = functional.adaptive_avg_pool2d(mask, features.shape[-2:])
+    rows, columns = features.shape[-2:]
+    inside = functional.adaptive_avg_pool2d(mask, (rows, columns))
     return (features * inside).sum((2, 3)) / (inside.sum((2, 3)) + 1e-3)
 
 
