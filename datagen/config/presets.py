@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any, Literal
 
-Preset = Literal["tabletop", "room", "outdoor", "studio", "mixed", "wild", "demo", "training", "smoke"]
+Preset = Literal["tabletop", "room", "outdoor", "studio", "mixed", "wild", "demo", "training", "volume", "smoke"]
 
 
 @dataclass(frozen=True)
@@ -55,6 +55,19 @@ PRESETS: dict[Preset, PresetValues] = {
     "training": PresetValues(
         "what `make train` learns from: as mixed, many scenes of few views; a quarter of an hour on two idle cores",
         _MIXED | {"seed": 2026, "scenes": 60, "views": 3, "width": 192, "height": 192},
+    ),
+    "volume": PresetValues(
+        "what the bundled weights learn from: 2,400 scenes of all kinds, one view each; several core-hours",
+        {
+            "seed": 2027,
+            "scenes": 2400,
+            "views": 1,
+            "width": 128,
+            "height": 128,
+            "kind": "mixed",
+            "splits": {"train": 0.85, "val": 0.03, "test": 0.06, "test_ood": 0.06},
+            "cameras": {"depth_of_field": 0.15},
+        },
     ),
     "smoke": PresetValues(
         "the smallest dataset that shows everything works: a minute or two",

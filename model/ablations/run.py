@@ -80,6 +80,12 @@ def variants(settings: AblationSettings, seed: int) -> dict[str, Values]:
             return {
                 "gain": {},
                 "gain, no cues": {"network": {"cues": False}},
+                "gain, pyramid": {"network": {"body": "pyramid"}},
+                "light, pyramid": {"network": {"body": "pyramid", "head": "light"}},
+                "light, pyramid, lights not told": {
+                    "network": {"body": "pyramid", "head": "light"},
+                    "loss": {"lights": 0.0},
+                },
                 "residual": {"network": {"head": "residual"}},
                 "direct": {"network": {"head": "direct"}},
             }

@@ -134,4 +134,5 @@ class Evaluate:
         if self.dir is not None:
             size = f"{self.cases.size} x {self.cases.size}"
             facts |= {"splits": ", ".join(self.cases.splits), "seed": str(self.cases.seed), "size": size}
-        return facts | {f"weights {path.stem}": file_sha256(weights_file(path))[:12] for path in self.weights}
+            facts["lighting"] = self.cases.lighting
+        return facts | {f"weights {path.stem}": file_sha256(weights_file(path))[:12] for path in weights}

@@ -7,7 +7,8 @@ from pydantic import Field, model_validator
 
 from multilight.scenes.frozen import Settings, UnitFloat
 
-Head = Literal["gain", "residual", "direct"]
+Head = Literal["light", "gain", "residual", "direct"]
+Lighting = Literal["random", "wild", "stored"]
 Input = Literal["background", "depth"]
 Positive = Annotated[float, Field(gt=0)]
 
@@ -15,6 +16,8 @@ Positive = Annotated[float, Field(gt=0)]
 class NetworkConfig(Settings):
     """The shape of the 2D network; `slim` and `paper` in `NETWORKS` are the two that are used."""
 
+    body: Literal["attention", "pyramid"] = "attention"
+    """What reads the picture: attention in windows, as set out below, or a convolutional pyramid of fixed shape."""
     stride: Literal[1, 2, 4, 8] = 8
     """Pixels a side of a token; 1 is attention at full resolution."""
     width: Annotated[int, Field(ge=8, le=1024)] = 96
@@ -30,7 +33,8 @@ class NetworkConfig(Settings):
     pooled: Annotated[int, Field(ge=0, le=16)] = 4
     """Tokens a side of the whole picture's summary that every window attends to besides; 0: none."""
     head: Head = "gain"
-    """What is predicted: gains and offsets in linear light, a residual, or the picture itself."""
+    """What is predicted: lights that shade and cast shadows, with gains and offsets in linear light; these alone; a
+    residual, or the picture itself."""
     cues: bool = True
     """Compute the soft mask and the relief of the depth and hand them to the network as well."""
     blind: tuple[Input, ...] = ()
@@ -59,8 +63,9 @@ class DataConfig(Settings):
     """Folder or fsspec address of the dataset, native or packed."""
     where: str | None = None
     """SQL expression over the dataset's index that chooses scenes, `kind = 'room'`, say."""
-    lighting: Literal["random", "stored"] = "random"
-    """Lighting of the training samples: drawn anew for each, or two of the scene's stored conditions."""
+    lighting: Lighting = "random"
+    """Lighting of the training samples: drawn anew for each, such as the dataset's conditions are or wild (in saturated
+    colours), or two of the scene's stored conditions."""
     augment: bool = True
     """Vary exposure, white balance, camera response, crop and direction."""
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
@@ -84,6 +89,8 @@ class LossConfig(Settings):
     """Weight of the perceptual distance."""
     vgg: Path | None = None
     """VGG19 weights (torchvision .pth or MatConvNet .mat); without: a stand-in, gradients and SSIM."""
+    lights: Annotated[float, Field(ge=0, le=1)] = 1e-3
+    """Weight of how far guessed lights are from the true ones, of a head that guesses them."""
     far: Positive = 0.5
     """Weight of a pixel that the object does not change, against 1 on the object."""
 

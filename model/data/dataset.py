@@ -1,6 +1,7 @@
 """PyTorch datasets over a native or packed dataset: map-style and streaming."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from multilight.model.data.augment import (
     draw_crop,
     resize,
 )
-from multilight.model.data.lighting import lit_conditions, tints
+from multilight.model.data.lighting import light_fractions, lit_conditions, tints
 from multilight.model.data.lights import LEAST, SceneLights, read_lights
 from multilight.model.data.mixing import Pictures, mix_tuple
 from multilight.model.data.plan import Draw, Plan, places_of
@@ -30,6 +31,8 @@ from multilight.model.data.settings import SampleSettings
 
 Sample = dict[str, Any]
 """Tensors and `meta`, as `MultiLightDataset` describes them."""
+RIGHT = 0.1
+"""Probability, where samples are augmented, that the object is lit rightly already, so that leaving alone is learnt."""
 
 
 class MultiLightDataset(Dataset[Sample]):
@@ -46,26 +49,32 @@ class MultiLightDataset(Dataset[Sample]):
         c2w      (4, 4)     camera to world, OpenGL axes, metres
         insert_gains, base_gains  (N, 3)  linear gains of the N lights in red, green and blue, exposure and white
                                           balance included; 0 where a light is off
+        light_fraction   (N,)    each light's fraction of the light in the target, all views together
         light_mask       (N,)    bool, false where it is filled up
         light_kind       (N,)    int64, numbers of `lights.KINDS`
         light_position   (N, 3)  metres, in the camera's OpenGL axes; 0 for environments and suns
         light_direction  (N, 3)  unit, in the same axes: where it shines; 0 for environments and glowing bodies
+        light_towards    (N, 3)  unit, in the same axes: from the object to the light; 0 for environments
         light_amount     (N, 3)  before gains: radiance [W/(m² sr)], of suns irradiance [W/m²], of points and spots
                                  intensity [W/sr]
         light_size       (N,)    angular diameter [rad] as seen from the object; 0 for environments and glowing bodies
 
     float32 but for the two, and `meta`: scene, view (of a group the first), emissive (ints), object, kind (strings).
-    The background is lit as the target is, by `base_gains`; the object in the composite by `insert_gains`. N is 8, or
-    the number of lights in the chosen scene that has most, where that is more.
+    The background is lit as the target is, by `base_gains`; the object in the composite by `insert_gains`, but where
+    lighting is drawn, what glows of it as in the target. N is 8, or the number of lights in the chosen scene that has
+    most, where that is more.
     """
 
     def __init__(self, address: str | Path, settings: SampleSettings) -> None:
         """Open a dataset at any address; raises `StoreError` and `UserError` naming the value and the remedy."""
-        self.settings = settings
         self.source = open_training(address, where=settings.filter())
+        config = self.source.source.record.config
+        self.settings = (
+            replace(settings, lighting="wild") if settings.lighting == "random" and config.wild else settings
+        )
         places, index = places_of(self.source.visible, settings), self.source.index
         settings.check_size(index.select(pl.min_horizontal("width", "height").min()).item())
-        self.plan = Plan(places, settings, self.source.source.record.config.conditions)
+        self.plan = Plan(places, settings, config.conditions)
         self._about = {row["index"]: row for row in index.select("index", "kind", "emissive").to_dicts()}
         self._most_lights = max(LEAST, index.select(pl.col("lights").list.len().max()).item())
         self._lights: dict[int, SceneLights] = {}
@@ -154,9 +163,14 @@ def make_samples(
     """Light, mix, augment and frame the views of one sample: a dict of tensors each, without the view axis."""
     rng = draw.rng
     if draw.conditions is None:
-        insert, base = lit_conditions(rng, views, 2)
+        temperature = lights.temperature[: len(views[0].lights)]
+        insert, base = lit_conditions(rng, views, 2, temperature, wild=settings.lighting == "wild")
+        own = lights.glow[draw.place.object][: len(insert)]
+        insert[own] = base[own]  # its glow is the object's own, and stays
     else:
         insert, base = (views[0].conditions[number] for number in draw.conditions)
+    if settings.augment and rng.random() < RIGHT:
+        insert = base
     camera = draw_camera(rng) if settings.augment else PLAIN
     mirrored = bool(settings.augment and rng.random() < 0.5)
     result = []
@@ -167,9 +181,13 @@ def make_samples(
             crop = draw_crop(rng, pictures.mask[0].numpy(), mirrored=mirrored)
         result.append(cropped_sample(view, pictures, crop, settings.size))
     largest = max(float(sample["z_depth"].max()) for sample in result)
-    gains = {"insert_gains": lights.gains(insert * camera.gain), "base_gains": lights.gains(base * camera.gain)}
+    common = {
+        "insert_gains": lights.filled(insert * camera.gain),
+        "base_gains": lights.filled(base * camera.gain),
+        "light_fraction": lights.filled(light_fractions(views, base)),
+    }
     for view, sample in zip(views, result, strict=True):
-        sample |= gains | lights.seen(view.c2w, draw.place.object, mirrored=mirrored)
+        sample |= common | lights.seen(view.c2w, draw.place.object, mirrored=mirrored)
         nothing = (sample["z_depth"] <= 0).float()
         sample["depth"] = sample["z_depth"].div(max(largest, 1e-6)).add_(nothing)
     return result

@@ -6,10 +6,11 @@ from functools import lru_cache
 import numpy as np
 
 from multilight.datagen.storage.packed import TILE, PackedView
-from multilight.lights.conditions import EXPOSURE, GAIN
+from multilight.lights.conditions import EXPOSURE, GAIN, GELLED, MIRED
 from multilight.lights.display.tonemap import meter_ev
 from multilight.lights.photometry.colour import GELS, gel_rgb, temperature_to_rgb
-from multilight.scenes.arrays import Float32
+from multilight.lights.rigs.natural import WHITES
+from multilight.scenes.arrays import Float32, Mask
 from multilight.scenes.colour import luminance
 
 ONE, TWO = 0.2, 0.15
@@ -20,52 +21,82 @@ STEP = 8  # every eighth pixel of every eighth row is metered
 
 
 @lru_cache(maxsize=1)
-def tints() -> tuple[Float32, Float32]:
-    """Return whites from 3000 to 8000 K in even steps of reciprocal temperature, (32, 3), and pale gels, (N, 3).
+def tints() -> tuple[Float32, Float32, Float32]:
+    """Return white light's temperatures [K] from 2500 to 8000, even in their reciprocals, (T,), their colours (T, 3),
+    and pale gels, (G, 3).
 
-    Both linear Rec.709 of unit luminance; computed once, since each takes milliseconds.
+    Colours are linear Rec.709 of unit luminance; computed once, since each takes milliseconds.
     """
-    whites = [temperature_to_rgb(float(1e6 / mired)) for mired in np.linspace(1e6 / 8000, 1e6 / 3000, 32)]
+    kelvin = 1e6 / np.linspace(1e6 / WHITES[1], 1e6 / WHITES[0], 48)
+    whites = [temperature_to_rgb(float(each)) for each in kelvin]
     gels = [gel_rgb(name, density) for name in sorted(GELS) for density in (0.3, 0.55, 0.8)]
-    return np.array(whites, np.float32), np.array(gels, np.float32)
+    return kelvin.astype(np.float32), np.array(whites, np.float32), np.array(gels, np.float32)
 
 
-def draw_gains(rng: np.random.Generator, lights: int) -> Float32:
+def draw_gains(rng: np.random.Generator, temperature: Float32, *, wild: bool) -> Float32:
     """Draw a condition: (L, 3) float32 linear gains, zero where a light is off; at least one is on.
 
-    Gains and colours are distributed as in `lights.conditions` where those are wild, whatever the dataset is, with more
-    conditions of one and two lights.
+    `temperature` (L,) is that of each light's own colour [K], 0 where it shines in a colour that is no white. Gains and
+    colours are distributed as in `lights.conditions`, with more conditions of one and two lights.
     """
-    drawn = rng.random()
+    lights, drawn = len(temperature), rng.random()
     if drawn < ONE + TWO:
         lit = np.zeros(lights, bool)
         lit[rng.permutation(lights)[: 1 if drawn < ONE else 2]] = True
     else:
         lit = rng.random(lights) < 0.75
         lit[int(rng.integers(lights))] = True
-    gains = np.exp(rng.uniform(-np.log(GAIN), np.log(GAIN), lights))[:, None] * _tints(rng, lights)
+    white = np.flatnonzero(temperature > 0.0)
+    if not wild and len(white) and not lit[white].any():  # light in a colour of its own would flood the picture
+        lit[rng.choice(white)] = True
+    colours = _wild_tints(rng, lights) if wild else _white_tints(rng, temperature, lit)
+    gains = np.exp(rng.uniform(-np.log(GAIN), np.log(GAIN), lights))[:, None] * colours
     return np.where(lit[:, None], gains, 0.0).astype(np.float32)
 
 
-def _tints(rng: np.random.Generator, count: int) -> Float32:
+def _white_tints(rng: np.random.Generator, temperature: Float32, lit: Mask) -> Float32:
+    """Draw changes of colour as people photograph them, (L, 3): none, another white, now and then a gel on one lamp."""
+    kelvin, whites, gels = tints()
+    new = np.clip(1e6 / np.maximum(rng.normal(*MIRED, len(temperature)), 1.0), *WHITES)
+    new_white, old_white = (whites[np.abs(kelvin - each[:, None]).argmin(axis=1)] for each in (new, temperature))
+    kept = (rng.random(len(temperature)) < 0.5) | (temperature == 0.0)
+    found = np.where(kept[:, None], 1.0, _ratio(new_white, old_white))
+    if lit.sum() > 1 and rng.random() < GELLED:
+        found[rng.choice(np.flatnonzero(lit))] *= gels[rng.integers(len(gels))]
+    return found.astype(np.float32)
+
+
+def _wild_tints(rng: np.random.Generator, count: int) -> Float32:
     """Draw changes of colour of unit luminance, (count, 3): none, another colour temperature, or a pale gel."""
-    whites, gels = tints()
+    _, whites, gels = tints()
     new, old = whites[rng.integers(len(whites), size=(2, count))]
-    ratio = np.clip(new / np.maximum(old, 1e-3), 0.1, 10.0)
-    ratio /= luminance(ratio)[:, None]
     kind = rng.random(count)[:, None]
     gel = gels[rng.integers(len(gels), size=count)]
-    return np.where(kind < 0.45, 1.0, np.where(kind < 0.92, ratio, gel)).astype(np.float32)
+    return np.where(kind < 0.45, 1.0, np.where(kind < 0.92, _ratio(new, old), gel)).astype(np.float32)
 
 
-def lit_conditions(rng: np.random.Generator, views: Sequence[PackedView], count: int) -> list[Float32]:
+def _ratio(new: Float32, old: Float32) -> Float32:
+    ratio = np.clip(new / np.maximum(old, 1e-3), 0.1, 10.0)
+    return np.asarray(ratio / luminance(ratio)[:, None])
+
+
+def lit_conditions(
+    rng: np.random.Generator, views: Sequence[PackedView], count: int, temperature: Float32, *, wild: bool
+) -> list[Float32]:
     """Draw conditions of a group of views and expose each as a camera would: (L, 3) float32 linear gains.
 
     One exposure for the group, metered on all its views, plus an offset. Lights that do not reach what the views show
-    are joined by all others.
+    are joined by all others. `temperature` (L,) and `wild` are as in `draw_gains`.
     """
     thin = [_thinned(view) for view in views]
-    return [_exposed(rng, draw_gains(rng, len(views[0].lights)), thin) for _ in range(count)]
+    return [_exposed(rng, draw_gains(rng, temperature, wild=wild), thin) for _ in range(count)]
+
+
+def light_fractions(views: Sequence[PackedView], gains: Float32) -> Float32:
+    """Return the fraction of the views' mean luminance that comes from each light under gains (L, 3): (L,) float32."""
+    layers = np.concatenate([_thinned(view) for view in views], axis=2).mean(axis=2, dtype=np.float64)
+    found = luminance(layers * gains)
+    return (found / max(found.sum(), 1e-12)).astype(np.float32)
 
 
 def _exposed(rng: np.random.Generator, gains: Float32, thin: Sequence[Float32]) -> Float32:

@@ -10,9 +10,10 @@ from torch import Tensor
 from multilight.datagen.errors import StoreError
 from multilight.datagen.storage.place import Place
 from multilight.datagen.storage.store import MOST_RECORD, scene_folder
+from multilight.lights.conditions import DAYLIGHT
 from multilight.lights.photometry.angular_size import angular_diameter
 from multilight.lights.spec import AreaLight, EmissiveLight, EnvironmentLight, Light, LightRig, SunLight
-from multilight.scenes.arrays import Float32, Float64, Int64
+from multilight.scenes.arrays import Float32, Float64, Int64, Mask
 from multilight.scenes.frozen import Frozen, Matrix4
 
 LEAST = 8
@@ -45,7 +46,8 @@ class SceneLights:
     """A scene's lights in the order of its layers, filled up with zeros to N.
 
     kind (N,) int64, numbers of `KINDS`; placed (N,), 1 where it has a place; position (N, 3) [m] and direction
-    (N, 3), unit or zero, in world axes; amount (N, 3), what it carries; size: object → (N,) [rad].
+    (N, 3), unit or zero, in world axes; amount (N, 3), what it carries; temperature (N,) of its colour [K], 0 where
+    that is no white; size: object → (N,) [rad]; glow: object → (N,) bool, the lights that are parts of it.
     """
 
     kind: Int64
@@ -53,13 +55,14 @@ class SceneLights:
     position: Float64
     direction: Float64
     amount: Float32
+    temperature: Float32
+    objects: Mapping[str, Float64]
     size: Mapping[str, Float32]
+    glow: Mapping[str, Mask]
 
-    def gains(self, gains: Float32) -> Tensor:
-        """Fill gains (L, 3) up to (N, 3)."""
-        filled = torch.zeros(len(self.kind), 3)
-        filled[: len(gains)] = torch.from_numpy(gains)
-        return filled
+    def filled(self, rows: Float32) -> Tensor:
+        """Fill what is known of L lights, (L, ...), up to (N, ...)."""
+        return torch.from_numpy(_filled(list(rows), len(self.kind)).astype(np.float32))
 
     def seen(self, c2w: Float64, name: str, *, mirrored: bool) -> dict[str, Tensor]:
         """Return what a sample says of the lights, in the axes of a camera; sizes are as object `name` sees them.
@@ -67,12 +70,16 @@ class SceneLights:
         A mirrored picture's camera sees everything with its x negated.
         """
         axes = c2w[:3, :3] * MIRROR if mirrored else c2w[:3, :3]
-        position = (self.position - c2w[:3, 3]) @ axes * self.placed[:, None]
+        placed = self.placed[:, None]
+        position = (self.position - c2w[:3, 3]) @ axes * placed
+        towards = np.where(placed > 0, self.position - self.objects[name], -self.direction) @ axes
+        towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-9)
         return {
             "light_mask": torch.tensor(self.kind > 0),
             "light_kind": torch.tensor(self.kind),
             "light_position": torch.from_numpy(position.astype(np.float32)),
             "light_direction": torch.from_numpy((self.direction @ axes).astype(np.float32)),
+            "light_towards": torch.from_numpy(towards.astype(np.float32)),
             "light_amount": torch.tensor(self.amount),
             "light_size": torch.tensor(self.size[name]),
         }
@@ -98,11 +105,21 @@ def read_lights(place: Place, index: int, names: tuple[str, ...], count: int) ->
         position=_filled([NOWHERE if place is None else place for place in places], count),
         direction=_filled([_direction(light) for light in lights], count),
         amount=_filled([light.amount for light in lights], count).astype(np.float32),
+        temperature=_filled([_temperature(light) for light in lights], count).astype(np.float32),
+        objects=seen_from,
         size={
             name: _filled([angular_diameter(light, eye) or 0.0 for light in lights], count).astype(np.float32)
             for name, eye in seen_from.items()
         },
+        glow={
+            name: _filled([isinstance(light, EmissiveLight) and light.body == name for light in lights], count) > 0
+            for name in seen_from
+        },
     )
+
+
+def _temperature(light: Light) -> float:
+    return 0.0 if light.gel is not None else light.colour_temperature or DAYLIGHT
 
 
 def _place(light: Light, poses: Mapping[str, Float64]) -> Float64 | None:

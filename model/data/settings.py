@@ -3,10 +3,11 @@
 import math
 import sys
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import get_args
 
 from multilight.datagen.errors import UserError
 from multilight.datagen.text import did_you_mean
+from multilight.model.configs.stage2d import Lighting
 from multilight.scenes.assets.splits import Split
 
 MOST_ENLARGED = 6
@@ -19,7 +20,8 @@ class SampleSettings:
 
     `size` is the side of the square pictures in pixels; `views` the number of views of one scene in a sample; `length`
     the samples an epoch. `split` and the SQL expression `where` over the dataset's index choose the scenes.
-    `lighting` "random" draws gains and colours anew and meters them, "stored" takes two of the scene's own conditions.
+    `lighting` "random" draws gains and colours anew, such as the dataset's own conditions have, and meters them; "wild"
+    does so in saturated colours, whatever the dataset is; "stored" takes two of the scene's own conditions.
     `augment` varies exposure, white balance, camera response, crop and direction. Objects that cover fewer than
     `visible` pixels of a view are passed over. With `repeat` an epoch may be longer than there are different tuples.
     """
@@ -29,7 +31,7 @@ class SampleSettings:
     seed: int = 0
     split: Split | None = "train"
     where: str | None = None
-    lighting: Literal["random", "stored"] = "random"
+    lighting: Lighting = "random"
     length: int = 1000
     augment: bool = True
     visible: float = 30.0
@@ -44,7 +46,7 @@ class SampleSettings:
             raise UserError(f"seed {self.seed} must be 0 or more")
         if not 0 <= self.visible < math.inf:
             raise UserError(f"visible {self.visible} must be a number of pixels, 0 or more")
-        choices = {"split": (*get_args(Split), None), "lighting": ("random", "stored")}
+        choices = {"split": (*get_args(Split), None), "lighting": get_args(Lighting)}
         for name, known in choices.items():
             value = getattr(self, name)
             if value not in known:

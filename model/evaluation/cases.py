@@ -9,10 +9,8 @@ from typing import Any
 import numpy as np
 
 from multilight.datagen.errors import UserError
-from multilight.datagen.storage.packed import PackedView
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.training_source import open_training
-from multilight.datagen.storage.variants import ALL
 from multilight.lights.photometry.angular_size import angular_diameter
 from multilight.lights.spec import EmissiveLight
 from multilight.model.data.dataset import MultiLightDataset, make_samples
@@ -22,7 +20,6 @@ from multilight.scenes.appearance import is_mirror, material_class
 from multilight.scenes.arrays import Float32, Mask
 from multilight.scenes.assets.splits import Split
 from multilight.scenes.cameras.pinhole import camera_of
-from multilight.scenes.colour import luminance
 from multilight.scenes.spec import Camera
 
 MOST_VIEWS = 4
@@ -73,7 +70,7 @@ LazyGroup = Callable[[], Group]
 def dataset_groups(address: str | Path, settings: CaseSettings, where: str | None = None) -> list[LazyGroup]:
     """Open a dataset's tuples, or those of the scenes that an SQL expression over its index chooses.
 
-    Lighting is drawn as in training, without augmentation. Raises `UserError` where none of the splits holds a scene.
+    Lighting is such as `settings` say, without augmentation. Raises `UserError` where none of the splits holds a scene.
     """
     found: list[LazyGroup] = []
     reasons = []
@@ -98,7 +95,10 @@ def with_subset(load: LazyGroup, name: str) -> LazyGroup:
 
 
 def _split_groups(address: str | Path, split: Split, settings: CaseSettings, where: str | None) -> list[LazyGroup]:
-    first = SampleSettings(size=settings.size, seed=settings.seed, split=split, where=where, length=1, augment=False)
+    first = SampleSettings(
+        size=settings.size, seed=settings.seed, split=split, where=where, lighting=settings.lighting, length=1,
+        augment=False,
+    )  # fmt: skip
     index = open_training(address, where=first.filter()).index
     if not len(index):
         raise UserError(f"no scene of split {split!r}")
@@ -124,7 +124,7 @@ def _drawn_group(samples: MultiLightDataset, split: Split, number: int) -> Group
         cases.append(Case(name, **pictures, depth=arrays["depth"][0], mask=arrays["mask"][0]))
         cameras.append(camera_of(arrays["K"], arrays["c2w"], arrays["mask"].shape[1:]))
         depths.append(arrays["z_depth"][0])
-    fractions = light_fractions(views, made[0]["base_gains"].numpy()[: len(views[0].lights)])
+    fractions = dict(zip(views[0].lights, made[0]["light_fraction"].tolist(), strict=False))
     subsets = subsets_of(record, draw.place.object, fractions)
     return Group(tuple(cases), (split, *subsets), tuple(cameras), tuple(depths))
 
@@ -147,10 +147,3 @@ def subsets_of(record: SceneRecord, name: str, fractions: dict[str, float]) -> t
     if any(material_class(m) == "mirror" for m in body.materials) or any(map(is_mirror, record.scene.bodies)):
         found.append("mirror")
     return tuple(found)
-
-
-def light_fractions(views: list[PackedView], gains: Float32) -> dict[str, float]:
-    """Return the fraction of the views' mean luminance that comes from each light under gains (L, 3)."""
-    layers = [view.variant(ALL).mean(axis=(1, 2), dtype=np.float64) for view in views]
-    found = luminance(np.mean(layers, axis=0) * gains)
-    return dict(zip(views[0].lights, (found / max(found.sum(), 1e-12)).tolist(), strict=True))

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from multilight.model.configs.stage2d import Lighting
 from multilight.scenes.assets.splits import Split
 
 
@@ -17,3 +18,5 @@ class CaseSettings:
     """Seed of the order and the lightings."""
     size: int = 256
     """Side of the pictures in pixels."""
+    lighting: Lighting = "random"
+    """Lighting: drawn as in training, wild (in saturated colours), or two of the scene's stored conditions."""

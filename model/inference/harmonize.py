@@ -11,7 +11,7 @@ from torch.nn.functional import interpolate
 from multilight.datagen.errors import UserError
 from multilight.model.device import chosen_device
 from multilight.model.networks.checkpoint import load_network
-from multilight.model.networks.compositing2d import Compositing2D, apply_gains, soft_mask
+from multilight.model.networks.compositing2d import GAIN_HEADS, Compositing2D, apply_gains, soft_mask
 from multilight.scenes.arrays import Float32
 
 Harmonizer = Callable[[Float32, Float32, Float32, Float32], Float32]
@@ -50,7 +50,7 @@ def harmonize(
         else:
             # Of the whole picture: at a tile's border it would differ from its neighbour's.
             given = soft_mask(pictures[0], pictures[1]) if given is None else given
-            result = (_from_reduced if network.config.head == "gain" else _from_tiles)(network, pictures, given)
+            result = (_from_reduced if network.config.head in GAIN_HEADS else _from_tiles)(network, pictures, given)
     except RuntimeError as error:
         if not isinstance(error, torch.OutOfMemoryError) and "allocate memory" not in str(error):
             raise
@@ -70,7 +70,7 @@ def _from_reduced(network: Compositing2D, pictures: list[Tensor], mask: Tensor) 
     scale = WHOLE / max(composite.shape[-2:])
     size = [max(1, round(length * scale)) for length in composite.shape[-2:]]
     small = [interpolate(picture, size=size, mode="area") for picture in (*pictures, mask)]
-    maps = network.predict(*small)
+    maps, _ = network.predict(*small)
     return apply_gains(maps, composite, background, mask).clamp(0.0, 1.0)
 
 

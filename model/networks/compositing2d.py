@@ -18,7 +18,10 @@ from torch.nn import functional
 
 from multilight.datagen.errors import UserError
 from multilight.model.configs.stage2d import NetworkConfig
+from multilight.model.networks import light_head
 from multilight.model.networks.input_features import largest_near, linear_to_srgb, relief, soft_mask, srgb_to_linear
+from multilight.model.networks.light_head import LightHead, Lights
+from multilight.model.networks.pyramid import Pyramid
 
 LARGEST_LOG_GAIN = 4.0
 STATISTICS_SIDE = 64  # pixels a side at which a picture's statistics are taken
@@ -26,6 +29,7 @@ NEAR = 15  # of them: the object's neighbourhood is what a square of that side r
 DARK = 0.02  # linear light added before logarithms are taken
 STATISTICS = 25
 LEAST_LOG_GAIN, LEAST_OFFSET = 0.02, 0.002  # outside the object, less is no shadow or glow, but uncertainty
+GAIN_HEADS = ("light", "gain")
 GAIN_CHANNELS = 12  # log-gain and offset in RGB, for the object and for its surroundings
 
 
@@ -164,8 +168,8 @@ class Group(nn.Module):
 class Backbone(nn.Module):
     """Any picture-like map to features: stem, attention groups, long skip, and back up to half resolution.
 
-    (B, `channels`, H, W) → (B, `features`, H / `scale`, W / `scale`), H and W multiples of `multiple`. `scale` is 1 at
-    stride 1, else 2.
+    (B, `channels`, H, W) → (B, `features`, H / `scale`, W / `scale`) and (B, `deepest`, H / `stride`, W / `stride`), H
+    and W multiples of `multiple`. `scale` is 1 at stride 1, else 2.
     """
 
     def __init__(self, config: NetworkConfig, channels: int) -> None:
@@ -179,7 +183,7 @@ class Backbone(nn.Module):
         else:  # halved in width for each doubling of the resolution
             halvings = config.stride.bit_length() - 1
             widths = [channels, *(width >> (halvings - 1 - i) for i in range(halvings))]
-        self.features = widths[1]
+        self.features, self.deepest = widths[1], width
         step = 1 if config.stride == 1 else 2
         self.stem = nn.ModuleList(
             nn.Conv2d(a, b, 3, stride=step, padding=1, padding_mode="reflect" if step == 1 else "zeros")
@@ -193,8 +197,8 @@ class Backbone(nn.Module):
         self.narrow = nn.ModuleList(nn.Conv2d(a, b, 1) for a, b in ups)
         self.merge = nn.ModuleList(nn.Conv2d(b, b, 3, padding=1) for _, b in ups)
 
-    def forward(self, x: Tensor) -> Tensor:
-        """Map (B, `channels`, H, W) to (B, `features`, H / `scale`, W / `scale`)."""
+    def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Map (B, `channels`, H, W) to the finest features and the deepest."""
         levels = []
         for conv in self.stem:
             x = conv(x)
@@ -205,11 +209,11 @@ class Backbone(nn.Module):
         allowed = shift_mask(tokens.shape[1], tokens.shape[2], self.window, x.device)
         for group in self.groups:
             tokens = group(tokens, allowed)
-        x = self.after(self.norm_out(tokens).permute(0, 3, 1, 2) + x) + self.skip(x)
+        x = deepest = self.after(self.norm_out(tokens).permute(0, 3, 1, 2) + x) + self.skip(x)
         for narrow, merge, level in zip(self.narrow, self.merge, levels[-2::-1], strict=True):
             x = functional.interpolate(narrow(x), scale_factor=2, mode="bilinear") + level
             x = functional.gelu(merge(x)) + x
-        return x
+        return x, deepest
 
 
 def statistics(composite: Tensor, background: Tensor, mask: Tensor) -> Tensor:
@@ -239,11 +243,15 @@ class Compositing2D(nn.Module):
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__()
         self.config = config
-        self.backbone = Backbone(config, channels=10 if config.cues else 7)
-        scale = self.backbone.scale
-        channels = GAIN_CHANNELS if config.head == "gain" else 3 * scale**2
-        self.head = nn.Conv2d(self.backbone.features, channels, 3, padding=1)
+        inputs = 10 if config.cues else 7
+        self.backbone = Pyramid(inputs) if config.body == "pyramid" else Backbone(config, inputs)
+        channels = {"gain": GAIN_CHANNELS, "light": GAIN_CHANNELS + light_head.CHANNELS}
+        self.head = nn.Conv2d(
+            self.backbone.features, channels.get(config.head, 3 * self.backbone.scale**2), 3, padding=1
+        )
         ends = list(self.head.parameters())
+        if config.head == "light":
+            self.light = LightHead(STATISTICS + 2 * self.backbone.deepest)
         if config.head == "gain":  # what is to be changed all over the object alike, which is learnt first
             known, width = STATISTICS + self.backbone.features, 128
             last = nn.Linear(width, GAIN_CHANNELS // 2)
@@ -256,21 +264,24 @@ class Compositing2D(nn.Module):
             if parameter.ndim == 4:
                 parameter.data = parameter.data.contiguous(memory_format=torch.channels_last)
 
-    def forward(self, composite: Tensor, background: Tensor, depth: Tensor, mask: Tensor | None = None) -> Tensor:
+    def forward(
+        self, composite: Tensor, background: Tensor, depth: Tensor, mask: Tensor | None = None, *, told: bool = False
+    ) -> Tensor | tuple[Tensor, Lights | None]:
         """Harmonize: (B, 3, H, W) display-encoded twice, (B, 1, H, W) depth in [0, 1] → (B, 3, H, W).
 
         `mask` (B, 1, H, W) in [0, 1], where given, replaces the estimated one. The result is display-encoded and, in
-        training, not clipped.
+        training, not clipped. With `told` the guessed lights come along, None of a head that guesses none.
         """
         composite, background, depth = self.shown(composite, background, depth, mask)
         if mask is None:
             mask = soft_mask(composite, background)
-        maps = self.predict(composite, background, depth, mask)
-        if self.config.head == "gain":
+        maps, lights = self.predict(composite, background, depth, mask)
+        if self.config.head in GAIN_HEADS:
             image = apply_gains(maps, composite, background, mask)
         else:
             image = maps + composite if self.config.head == "residual" else maps.sigmoid()
-        return image if self.training else image.clamp(0.0, 1.0)
+        image = image if self.training else image.clamp(0.0, 1.0)
+        return (image, lights) if told else image
 
     def shown(
         self, composite: Tensor, background: Tensor, depth: Tensor, mask: Tensor | None
@@ -287,26 +298,43 @@ class Compositing2D(nn.Module):
             depth = torch.ones_like(depth)
         return composite, background, depth
 
-    def predict(self, composite: Tensor, background: Tensor, depth: Tensor, mask: Tensor) -> Tensor:
-        """Return what the head predicts: gain maps at `scale`, or full-resolution (B, 3, H, W)."""
+    def predict(
+        self, composite: Tensor, background: Tensor, depth: Tensor, mask: Tensor
+    ) -> tuple[Tensor, Lights | None]:
+        """Return what the head predicts, gain maps at `scale` or full-resolution (B, 3, H, W), and guessed lights."""
         h, w = composite.shape[-2:]
         cues = (mask, relief(depth)) if self.config.cues else ()
         x = torch.cat((composite, background, depth, *cues), dim=1)
         multiple, scale = self.backbone.multiple, self.backbone.scale
         x = functional.pad(x, (0, -w % multiple, 0, -h % multiple), mode="replicate")
-        features = self.backbone(x.contiguous(memory_format=torch.channels_last))
+        features, deepest = self.backbone(x.contiguous(memory_format=torch.channels_last))
         maps = self.head(features)
-        if self.config.head != "gain":
-            return functional.pixel_shuffle(maps, scale)[..., :h, :w].float()
+        if self.config.head not in GAIN_HEADS:
+            return functional.pixel_shuffle(maps, scale)[..., :h, :w].float(), None
         rows, columns = -(-h // scale), -(-w // scale)
-        inside = functional.adaptive_avg_pool2d(mask, (rows, columns))
-        of_object = (features[..., :rows, :columns] * inside).sum((2, 3)) / (inside.sum((2, 3)) + 1e-3)
-        seen = torch.cat((statistics(composite, background, mask), of_object), dim=1)
-        inner, outer = maps[..., :rows, :columns].chunk(2, dim=1)
-        inner = inner + self.overall(seen)[..., None, None]
+        maps, features = maps[..., :rows, :columns], features[..., :rows, :columns]
+        seen, lights = statistics(composite, background, mask), None
+        if self.config.head == "light":
+            small = [
+                functional.adaptive_avg_pool2d(srgb_to_linear(p), (rows, columns)) for p in (composite, background)
+            ]
+            inside = functional.adaptive_avg_pool2d(mask, (rows, columns))
+            near = functional.interpolate(depth, size=(rows, columns), mode="nearest-exact")
+            known = torch.cat((seen, deepest.mean((2, 3)), mean_inside(deepest, mask)), dim=1)
+            maps, lights = self.light(known.float(), maps.float(), *small, near, inside)
+        inner, outer = maps.chunk(2, dim=1)
+        if self.config.head == "gain":
+            inner = inner + self.overall(torch.cat((seen, mean_inside(features, mask)), dim=1))[..., None, None]
         if not self.training:  # where it would have no gradient
             outer = without_least(outer)
-        return torch.cat((inner, outer), dim=1).float()
+        return torch.cat((inner, outer), dim=1).float(), lights
+
+
+def mean_inside(features: Tensor, mask: Tensor) -> Tensor:
+    """Average features (B, C, h, w) over the object, `mask` (B, 1, H, W) of any size: (B, C)."""
+    rows, columns = features.shape[-2:]
+    inside = functional.adaptive_avg_pool2d(mask, (rows, columns))
+    return (features * inside).sum((2, 3)) / (inside.sum((2, 3)) + 1e-3)
 
 
 def without_least(outer: Tensor) -> Tensor:

@@ -44,7 +44,7 @@ class Compositing3D(nn.Module):
         side, multiple = composite.shape[-1], self.backbone.multiple
         maps = (composite, carried) if points is None else (composite, carried, points)
         x = functional.pad(torch.cat(maps, dim=1), (0, -side % multiple, 0, -side % multiple))
-        change = functional.pixel_shuffle(self.head(self.backbone(x)), self.backbone.scale)[..., :side, :side]
+        change = functional.pixel_shuffle(self.head(self.backbone(x)[0]), self.backbone.scale)[..., :side, :side]
         image = carried + change.float()
         return image if self.training else image.clamp(0.0, 1.0)
 

@@ -15,7 +15,9 @@ from multilight.model.data import MultiLightDataset, SampleSettings
 
 ENDLESS = 1 << 40  # samples; the dataset's order is a pure function of the sample's number
 STAGE_SAMPLES = 1 << 32  # every stage draws from numbers of its own
-FIELDS = ("composite", "background", "depth", "target", "mask", "effect")
+FIELDS = (
+    "composite", "background", "depth", "target", "mask", "effect", "K", "light_towards", "light_fraction"
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,10 @@ ALONE = Process()
 
 @dataclass(frozen=True)
 class Batch:
-    """Pictures of one step: (B, 3, S, S), `depth` and `mask` (B, 1, S, S); `meta` says where they come from."""
+    """Pictures of one step: (B, 3, S, S), `depth` and `mask` (B, 1, S, S); `meta` says where they come from.
+
+    `K` and lights are those of `MultiLightDataset`.
+    """
 
     composite: Tensor
     background: Tensor
@@ -39,6 +44,9 @@ class Batch:
     target: Tensor
     mask: Tensor
     effect: Tensor
+    K: Tensor
+    light_towards: Tensor
+    light_fraction: Tensor
     meta: dict[str, Any]
 
     @classmethod

@@ -5,12 +5,16 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from multilight.model.configs.stage2d import LossConfig
+from multilight.model.networks.light_head import Lights
+from multilight.model.networks.shading import FOCAL
+from multilight.model.training.batches import Batch
 from multilight.model.training.vgg import VGG19Features, load_vgg19
 
 FEATURE_WEIGHTS = (1 / 2.6, 1 / 4.8, 1 / 3.7, 1 / 5.6, 10 / 1.5)
 """Of conv1_2 … conv5_2 (Chen and Koltun 2017), as in the published training."""
 
 EFFECT_SEEN = 0.02  # display-encoded effect at which a pixel counts half as changed
+CONCENTRATION = 8.0  # of a guessed light's distribution: most within 30 degrees
 SCALES, WINDOW = 3, 7
 KNEE = 1e-3  # mean squared error (30 dB) at which the logarithmic loss turns from linear to logarithmic
 
@@ -122,3 +126,29 @@ class CompositingLoss(nn.Module):
 
 def _per_picture(x: Tensor) -> Tensor:
     return x.flatten(1).mean(dim=1)
+
+
+def light_loss(lights: Lights, sample: Batch) -> Tensor:
+    """Return how badly guessed lights explain where the sample's light comes from: (B,).
+
+    Minus the mean logarithm of the likelihood of the true directions from the object to the lights, each weighted by
+    its fraction of the light, under a mixture of von Mises-Fisher distributions about the guessed ones, weighted by
+    their brightness (up to a constant). Environments have no direction and do not count.
+    """
+    towards = seen_by_plain_lens(sample.light_towards, sample.K, sample.composite.shape[-1])
+    weight = sample.light_fraction * towards.square().sum(2).gt(0)
+    brightness = lights.colours.mean(2).log().log_softmax(1)
+    near = CONCENTRATION * (torch.einsum("bnc,bkc->bnk", towards, lights.directions) - 1.0)
+    return -(weight * (brightness[:, None] + near).logsumexp(2)).sum(1)
+
+
+def seen_by_plain_lens(directions: Tensor, intrinsics: Tensor, side: int) -> Tensor:
+    """Return unit directions (B, N, 3) of a camera with K (B, 3, 3) and square pictures as `shading` takes them to be.
+
+    It knows no lenses; what a pixel at depth z shows lies elsewhere for it, by a linear map.
+    """
+    x, y, z = directions.unbind(2)
+    focal_x, focal_y = (intrinsics[:, axis, axis, None] / side for axis in range(2))
+    off_x, off_y = (intrinsics[:, axis, 2, None] / side - 0.5 for axis in range(2))
+    mapped = torch.stack(((focal_x * x - off_x * z) / FOCAL, (focal_y * y + off_y * z) / FOCAL, z), dim=2)
+    return functional.normalize(mapped, dim=2)

@@ -46,16 +46,17 @@ def shaken(config: NetworkConfig, seed: int = 0) -> Compositing2D:
     return network
 
 
-@pytest.mark.parametrize("head", ["gain", "residual"])
+@pytest.mark.parametrize("head", ["light", "gain", "residual"])
+@pytest.mark.parametrize("body", ["pyramid", "attention"])
 @pytest.mark.parametrize("size", [(64, 64), (33, 50), (96, 72)])
-def test_untrained_network_returns_the_composite(head: str, size: tuple[int, int]) -> None:
+def test_untrained_network_returns_the_composite(head: str, body: str, size: tuple[int, int]) -> None:
     composite, background, depth = pictures(*size, count=2)
-    network = Compositing2D(TINY.model_copy(update={"head": head})).eval()
+    network = Compositing2D(TINY.model_copy(update={"head": head, "body": body})).eval()
     with torch.no_grad():
         assert torch.allclose(network(composite, background, depth), composite, atol=1e-5)
 
 
-@pytest.mark.parametrize("head", ["gain", "residual", "direct"])
+@pytest.mark.parametrize("head", ["light", "gain", "residual", "direct"])
 @pytest.mark.parametrize("stride", [1, 2, 4, 8])
 def test_shapes_at_every_stride(head: str, stride: int) -> None:
     inputs = pictures(41, 54, count=2)

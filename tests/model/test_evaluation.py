@@ -17,7 +17,7 @@ from multilight.lights.display.tonemap import tone_curve
 from multilight.lights.spec import AreaLight, EmissiveLight, Light, LightRig, PointLight, SunLight
 from multilight.model.cli import COMMANDS
 from multilight.model.configs.stage2d import NetworkConfig
-from multilight.model.evaluation.cases import Group, LazyGroup, dataset_groups, light_fractions, subsets_of
+from multilight.model.evaluation.cases import Group, LazyGroup, dataset_groups, subsets_of
 from multilight.model.evaluation.consistency import disagreement, sample, shared_pairs, shared_pixels
 from multilight.model.evaluation.page import Table
 from multilight.model.evaluation.run import evaluate, methods_of, peak_memory
@@ -71,7 +71,7 @@ def test_light_fractions_are_those_of_the_target(spheres_dataset: Path) -> None:
     """The gains that the subsets are judged by must be those that lit the target."""
     from multilight.datagen.storage.training_source import open_training
     from multilight.model.data.dataset import MultiLightDataset
-    from multilight.model.data.lighting import lit_conditions
+    from multilight.model.data.lighting import light_fractions, lit_conditions
     from multilight.model.data.settings import SampleSettings
 
     settings = SampleSettings(size=48, split=None, length=1, views=2, augment=False)
@@ -79,15 +79,15 @@ def test_light_fractions_are_those_of_the_target(spheres_dataset: Path) -> None:
     draw = samples.plan.draw(0, 0)
     source = open_training(spheres_dataset)
     views = [source.view(draw.place.scene, number) for number in draw.views]
-    _, base = lit_conditions(draw.rng, views, 2)
+    temperature = samples.lights(draw.place.scene, views[0].lights).temperature[: len(views[0].lights)]
+    _, base = lit_conditions(draw.rng, views, 2, temperature, wild=False)
     lit = np.einsum("lhwc,lc->hwc", views[0].variant("all").astype(np.float32), base)
     shown = srgb_encode(tone_curve(lit))[:, 8:-8]
     np.testing.assert_allclose(samples[0]["target"][0].numpy().transpose(1, 2, 0), shown, atol=2e-3)
     fractions = light_fractions(views, base)
-    assert sum(fractions.values()) == pytest.approx(1.0)
-    assert {name for name, fraction in fractions.items() if fraction == 0} == {
-        name for name, gain in zip(views[0].lights, base, strict=True) if not gain.any()
-    }
+    assert fractions.sum() == pytest.approx(1.0)
+    assert ((fractions == 0) == ~base.any(axis=1)).all()
+    assert samples[0]["light_fraction"][0, : len(base)].tolist() == pytest.approx(fractions.tolist())
 
 
 def with_rig(record: SceneRecord, *lights: Light) -> SceneRecord:

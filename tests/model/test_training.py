@@ -194,10 +194,13 @@ def a_batch(count: int = 4, size: int = 32) -> Batch:
     composite = torch.where(mask > 0, 0.45, background)
     depth = torch.where(mask > 0, 0.5, 0.8)
     meta = {"scene": torch.arange(count), "view": torch.zeros(count), "object": ["box"] * count}
-    return Batch(composite, background, depth, target, mask, target - background, meta)
+    lights = torch.zeros(len(mask), 8)
+    return Batch(
+        composite, background, depth, target, mask, target - background, torch.eye(3)[None], lights, lights, meta
+    )
 
 
-@pytest.mark.parametrize("head", ["gain", "residual", "direct"])
+@pytest.mark.parametrize("head", ["light", "gain", "residual", "direct"])
 def test_overfits_one_batch(head: str) -> None:
     torch.manual_seed(0)
     batch = a_batch()
@@ -261,7 +264,7 @@ def test_a_broken_view_ends_a_training_with_one_line(spheres_copy: Path, tmp_pat
 
 
 def test_full_memory_names_the_remedy(spheres_dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(*_: Tensor) -> Tensor:
+    def full(*_: Tensor, **__: object) -> Tensor:
         raise torch.cuda.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB.")
 
     trainer = Trainer2D(config(spheres_dataset, tmp_path), CPU)

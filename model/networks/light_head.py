@@ -1,0 +1,104 @@
+"""The head that knows light: a few lights and an ambient term, guessed from the picture, that shade and cast shadows.
+
+Two sets of lights are guessed: those of the background, and those that the object came lit by. The object is multiplied
+by what surfaces facing as its do get of the one over what they get of the other; its surroundings by what the object
+leaves them of the first. Maps of the network correct both.
+"""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from multilight.model.networks.shading import irradiance, normals, points, visibility
+
+LIGHTS = 3
+BASE_DIRECTIONS = ((-0.6, 0.7, 0.4), (0.6, 0.7, 0.4), (0.0, 0.9, -0.4))
+BASE_SOFTNESS = (0.05, 0.15, 0.6)  # tangent of half the angular diameter: a lamp, a window, a sky
+OF_LIGHT = 7  # direction, colour, softness
+OF_SET = LIGHTS * OF_LIGHT + 3  # lights and the ambient term
+LARGEST = 3.0  # of a guessed logarithm
+KEPT = -3.0  # logit of the fraction of the object's light that is its own glow, before learning
+APPARENT, RIDGE = 9, 0.02  # numbers of `apparent`, and the variance of normals below which it tells little
+DARK = 0.02  # linear light below which slopes are not relative any more
+CHANNELS = 4  # of the network's maps: how much of the shadow falls, and how much of the object's light is its glow
+
+
+class Lights(NamedTuple):
+    """Guessed lights: directions (B, K, 3) unit, towards them; colours (B, K, 3) and ambient (B, 3), what surfaces get
+    of each that face it and of the rest, relative to each other; softness (B, K), tangent of half the diameter.
+    """
+
+    directions: Tensor
+    colours: Tensor
+    ambient: Tensor
+    softness: Tensor
+
+
+class LightHead(nn.Module):
+    """From what is known of the picture to the lights, and on to logarithms of gains."""
+
+    def __init__(self, known: int, width: int = 128) -> None:
+        super().__init__()
+        self.last = nn.Linear(width, 2 * OF_SET + 6 + 3)
+        self.guess = nn.Sequential(
+            nn.Linear(known + 2 * APPARENT, width), nn.GELU(), nn.Linear(width, width), nn.GELU()
+        )
+        nn.init.zeros_(self.last.weight)
+        nn.init.zeros_(self.last.bias)
+        self.register_buffer("base", functional.normalize(torch.tensor(BASE_DIRECTIONS), dim=1), persistent=False)
+        self.register_buffer("base_softness", torch.tensor(BASE_SOFTNESS), persistent=False)
+
+    def forward(
+        self, known: Tensor, maps: Tensor, composite: Tensor, background: Tensor, depth: Tensor, mask: Tensor
+    ) -> tuple[Tensor, Lights]:
+        """Light: known (B, F), maps (B, 12 + 4, h, w), linear pictures (B, 3, h, w), depth and mask (B, 1, h, w).
+
+        Returns gain maps (B, 12, h, w) and the background's lights. Of the maps, the first twelve are log-gains and
+        offsets, of the object and of its surroundings, to which the lights' are added.
+        """
+        places = points(depth)
+        facing = normals(places)
+        ground = (1.0 - mask) * (depth < 1.0)
+        known = torch.cat((known, apparent(composite, facing, mask), apparent(background, facing, ground)), dim=1)
+        told = self.last(self.guess(known))
+        here, there = (self._lights(part) for part in told[:, : 2 * OF_SET].chunk(2, dim=1))
+        overall, strength = told[:, 2 * OF_SET : -3, None, None], told[:, -3:, None, None]
+        inner, outer, fraction = maps.split((6, 6, CHANNELS), dim=1)
+        lit, came = (irradiance(facing, s.directions, s.colours, s.ambient, None) for s in (here, there))
+        seen = visibility(places, mask, here.directions, here.softness)
+        left = irradiance(facing, here.directions, here.colours, here.ambient, seen)
+        shadow = (left / lit).log() * strength * 2.0 * fraction[:, :3].sigmoid() * (depth < 1.0)
+        gain, offset = (inner + overall).chunk(2, dim=1)
+        glow = (fraction[:, 3:] + KEPT).sigmoid()
+        gain = (glow + (1.0 - glow) * (gain + (lit / came).log()).clamp(-4.0, 4.0).exp()).log()
+        return torch.cat((gain, (1.0 - glow) * offset, outer[:, :3] + shadow, outer[:, 3:]), dim=1), here
+
+    def _lights(self, told: Tensor) -> Lights:
+        each, ambient = told.split((LIGHTS * OF_LIGHT, 3), dim=1)
+        direction, colour, softness = each.unflatten(1, (LIGHTS, OF_LIGHT)).split((3, 3, 1), dim=2)
+        return Lights(
+            functional.normalize(self.base + direction, dim=2),
+            colour.clamp(-LARGEST, LARGEST).exp(),
+            ambient.clamp(-LARGEST, LARGEST).exp(),
+            self.base_softness * softness[..., 0].clamp(-LARGEST, LARGEST).exp(),
+        )
+
+
+def apparent(picture: Tensor, facing: Tensor, weight: Tensor) -> Tensor:
+    """Return how brightness leans on normals: (B, 9), the least-squares slopes by x, y, z, over the mean, a channel.
+
+    picture (B, 3, h, w) linear; facing (B, 3, h, w) unit normals; weight (B, 1, h, w). Under one light and on one
+    albedo that is the light's direction, as far as it is not in the ambient term.
+    """
+    weight = weight.flatten(2) / (weight.sum((2, 3))[..., None] + 1e-3)
+
+    def centred(x: Tensor) -> tuple[Tensor, Tensor]:
+        mean = (x.flatten(2) * weight).sum(2, keepdim=True)
+        return x.flatten(2) - mean, mean
+
+    (normal, _), (colour, mean) = centred(facing), centred(picture)
+    spread, both = (torch.einsum("bin,bjn->bij", normal * weight, x) for x in (normal, colour))
+    slopes = torch.linalg.solve(spread + RIDGE * torch.eye(3, device=spread.device), both)
+    return (slopes / (mean.transpose(1, 2) + DARK)).flatten(1).clamp(-5.0, 5.0)
