@@ -135,4 +135,4 @@ class Evaluate:
             size = f"{self.cases.size} x {self.cases.size}"
             facts |= {"splits": ", ".join(self.cases.splits), "seed": str(self.cases.seed), "size": size}
             facts["lighting"] = self.cases.lighting
-        return facts | {f"weights {path.stem}": file_sha256(weights_file(path))[:12] for path in weights}
+        return facts | {f"weights {path.stem}": file_sha256(weights_file(path))[:12] for path in self.weights}
