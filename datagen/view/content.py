@@ -56,7 +56,7 @@ class ViewFiles:
         if name == "view.json":
             return self._about()
         squeeze = zlib.compressobj(level, wbits=GZIP)
-        parts = [squeeze.compress(np.ascontiguousarray(array).data) for array in self._arrays(name)]
+        parts = [squeeze.compress(array.tobytes()) for array in self._arrays(name)]
         return b"".join([*parts, squeeze.flush()])
 
     def _about(self) -> bytes:
