@@ -46,19 +46,20 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-@pytest.mark.parametrize("words", [(), ("shards",)])
-def test_five_runs_of_which_two_are_killed(alone: Path, tmp_path: Path, words: tuple[str, ...]) -> None:
-    root, rng = tmp_path / "set", random.Random(len(words))
-    runs = [start(root, *(("--shard", f"{n}/5") if words else ())) for n in range(5)]
-    while len(scene_indices(root)) < 2:
-        time.sleep(0.02)
-    for run in rng.sample(runs, 2):
-        time.sleep(rng.random())
-        run.send_signal(signal.SIGKILL)
-    ended = [(run.communicate(timeout=300), run.returncode) for run in runs]
-    codes = sorted(code for _, code in ended)
-    assert codes[-3:] == [0, 0, 0], ended
-    assert codes[:2] in ([-9, -9], [-9, 0], [0, 0])
+def test_five_runs_of_which_two_are_killed(alone: Path, tmp_path: Path) -> None:
+    root, rng = tmp_path / "set", random.Random(0)
+    runs = [start(root, *words) for words in (("--shard", "0/2"), ("--shard", "1/2"), (), (), ())]
+    try:
+        while len(scene_indices(root)) < 2:
+            time.sleep(0.05)
+        for run in rng.sample(runs, 2):
+            time.sleep(rng.random() / 4)
+            run.send_signal(signal.SIGKILL)
+        ended = [(run.communicate(), run.returncode) for run in runs]
+    finally:
+        for run in runs:
+            run.kill()
+    assert {code for _, code in ended} <= {0, -signal.SIGKILL}, ended
     assert contents(root) == contents(alone)
 
 
