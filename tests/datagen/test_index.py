@@ -3,7 +3,7 @@
 import hashlib
 import random
 import shutil
-from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import polars as pl
@@ -39,7 +39,7 @@ def many(spheres_copy: Path) -> Path:
         shutil.copytree(scene_dir(spheres_copy, 0), scene_dir(spheres_copy, index))
         reason = ["contacts: nothing carries it"] * (index % 2)
         path = scene_dir(spheres_copy, index) / "scene.json"
-        rewrite_json(path, lambda r, i=index, why=reason: r.update(index=i, thrown_away=why, split="train"))
+        rewrite_json(path, partial(dict.update, index=index, thrown_away=reason, split="train"))
     (spheres_copy / "index.parquet").unlink()
     empty = {"index_sha256": "", "index_rows": 0, "assets": []}
 
@@ -121,7 +121,7 @@ def test_blocks_are_read_at_any_address(many: Path, where: str) -> None:
 
 
 @pytest.fixture
-def asked(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[int]]:
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Which scenes' records are read to look at what is there."""
     found: list[int] = []
 
