@@ -19,7 +19,7 @@ from typing import Literal
 
 import tyro
 
-from multilight.datagen.backends.machine.variants import find_gpu
+from multilight.datagen.backends.machine.mitsuba_variant import find_gpu
 
 TESTS = "tests/datagen/backends/"
 HERE = (sys.executable, "-m")

@@ -18,9 +18,9 @@ import numpy as np
 import torch
 import tyro
 
-from multilight.datagen.storage.source import DatasetSource, open_dataset
+from multilight.datagen.storage.object_variants import ALL, Variant
+from multilight.datagen.storage.open_dataset import DatasetSource, open_dataset
 from multilight.datagen.storage.store import ViewData
-from multilight.datagen.storage.variants import ALL, Variant
 from multilight.lights.display.tonemap import tone_curve
 from multilight.lights.relight import gain_matrix
 from multilight.model.data.lights import KINDS, SceneLights, read_lights

@@ -21,7 +21,7 @@ from multilight.datagen.config.dataset import DatasetConfig
 from multilight.datagen.production.scene import sample_scene
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.geometry.rays import body_triangles
-from multilight.scenes.streams import Streams
+from multilight.scenes.random_streams import Streams
 
 import drjit as dr  # isort: skip
 import mitsuba as mi  # isort: skip

@@ -30,12 +30,12 @@ from multilight.datagen.production.denoise import denoise_all, denoise_without
 from multilight.datagen.production.scene import contact_faults, sample_scene
 from multilight.datagen.production.view import shown_in
 from multilight.datagen.storage.layers import LayerStack
-from multilight.datagen.storage.variants import ALL, Variant
+from multilight.datagen.storage.object_variants import ALL, Variant
 from multilight.lights.spec import EmissiveLight, LightRig
 from multilight.scenes.arrays import Float32, Mask
 from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.random_streams import Streams
 from multilight.scenes.spec import SceneSpec
-from multilight.scenes.streams import Streams
 
 SIDE = 8
 LEAST = 60  # pixels of a silhouette that is looked at

@@ -19,9 +19,9 @@ import tyro
 from PIL import Image
 
 from multilight.datagen.export.images import png, to_byte
+from multilight.datagen.storage.object_variants import Variant
+from multilight.datagen.storage.open_training import TrainingSource, open_training
 from multilight.datagen.storage.packed import PackedView
-from multilight.datagen.storage.training_source import TrainingSource, open_training
-from multilight.datagen.storage.variants import Variant
 from multilight.lights.display.tonemap import to_display
 from multilight.model.data import MultiLightDataset, SampleSettings
 from multilight.model.data.augment import PLAIN, centre_crop

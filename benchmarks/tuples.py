@@ -40,16 +40,16 @@ from multilight.datagen.production.denoise import denoise_all
 from multilight.datagen.production.scene import sample_scene
 from multilight.datagen.production.stopwatch import Stopwatch
 from multilight.datagen.production.view import SceneSetup, render_view
+from multilight.datagen.storage.object_variants import ALL, Variant
 from multilight.datagen.storage.store import ViewData
-from multilight.datagen.storage.variants import ALL, Variant
-from multilight.lights.conditions import sample_conditions
 from multilight.lights.display.tonemap import meter_ev, to_display
 from multilight.lights.relight import mix
+from multilight.lights.sample_conditions import sample_conditions
 from multilight.lights.spec import LightingCondition, LightRig
 from multilight.scenes.arrays import Float32
 from multilight.scenes.assets.library import AssetLibrary
+from multilight.scenes.random_streams import Streams
 from multilight.scenes.spec import SceneSpec
-from multilight.scenes.streams import Streams
 
 LEAST_SPP = 8
 

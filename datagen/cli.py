@@ -9,7 +9,7 @@ from importlib.metadata import version
 from inspect import cleandoc
 from typing import Any
 
-from multilight.datagen.commands import export, import_scene, inspect, installed, make, pack, plan, query
+from multilight.datagen.commands import dataset, export, import_scene, inspect, installed, pack, plan, query
 from multilight.datagen.commands.arguments import UsageError, parsed
 from multilight.datagen.commands.terminal import (
     PIPE_BROKEN,
@@ -54,8 +54,8 @@ OPTIONS = (
 WIDTH, INDENT = 80, 13
 
 COMMANDS: dict[str, type] = {
-    "dataset": make.Dataset,
-    "scene": make.Scene,
+    "dataset": dataset.Dataset,
+    "scene": dataset.Scene,
     "plan": plan.Plan,
     "verify": inspect.Verify,
     "view": inspect.View,

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from multilight.datagen.errors import UserError
 from multilight.datagen.storage.manifest import CopyFault
+from multilight.datagen.storage.open_dataset import DatasetSource, OnBroken, open_dataset, select
 from multilight.datagen.storage.records import DatasetRecord, SceneRecord
-from multilight.datagen.storage.source import DatasetSource, OnBroken, open_dataset, select
 from multilight.datagen.storage.store import ViewData
 from multilight.datagen.tuples import compose
-from multilight.datagen.tuples.conditions import check_condition, check_lights, find_condition, metered
+from multilight.datagen.tuples.condition_files import check_condition, check_lights, find_condition, metered
 from multilight.datagen.verification.copies import copy_at, verify_copy
 from multilight.datagen.verification.dataset import verify_dataset
 from multilight.datagen.verification.views import Fault

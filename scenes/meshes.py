@@ -12,7 +12,7 @@ from numpy.lib.npyio import NpzFile
 from numpy.typing import NDArray
 
 from multilight.scenes.arrays import Float32, Int64
-from multilight.scenes.files.whole import write_whole
+from multilight.scenes.files.atomic import write_whole
 from multilight.scenes.frozen import Frozen
 from multilight.scenes.spec import Material, Rectangle, Sphere
 

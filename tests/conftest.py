@@ -11,16 +11,18 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from multilight.datagen.backends.machine.variants import choose_variant, prepare_environment
+from multilight.datagen.backends.machine.mitsuba_variant import choose_variant, prepare_environment
 from multilight.datagen.cli import main
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.store import ViewData, read_scene, read_view, scene_dir
+from multilight.scenes.assets import mesh_memory
 
 if TYPE_CHECKING:
     from multilight.model.captures.capture import Capture
 
 if "PYTEST_XDIST_WORKER" in os.environ:  # each process has a core of its own
     os.environ.setdefault("OMP_NUM_THREADS", "1")
+mesh_memory.MOST_BYTES = 1 << 28  # many libraries live in a process of the tests
 # Before any test imports Dr.Jit, which takes the first libLLVM it finds.
 prepare_environment(choose_variant())
 

@@ -52,7 +52,7 @@ def test_installed_beside_a_project_with_the_same_names(wheel: Path, tmp_path: P
         (tmp_path / "project" / name).write_text(text)
     code = (
         "import model, lights, scenes, datagen\n"
-        "from multilight.datagen.storage.source import open_dataset\n"
+        "from multilight.datagen.storage.open_dataset import open_dataset\n"
         "from multilight.model.data import MultiLightDataset\n"
         "import multilight\n"
         "print(model.ANSWER, lights.ANSWER, multilight.__file__)\n"

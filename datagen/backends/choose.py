@@ -4,7 +4,7 @@ import importlib.util
 from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING
 
-from multilight.datagen.backends.machine.variants import choose_variant
+from multilight.datagen.backends.machine.mitsuba_variant import choose_variant
 from multilight.datagen.backends.protocol import Backend, BackendError
 from multilight.datagen.config.dataset import RendererName
 

@@ -6,7 +6,7 @@ from typing import Protocol
 from pydantic import PositiveInt
 
 from multilight.datagen.storage.layers import LayerStack
-from multilight.datagen.storage.variants import ALL, Variant, variants_of
+from multilight.datagen.storage.object_variants import ALL, Variant, variants_of
 from multilight.lights.spec import LightRig
 from multilight.scenes.errors import MultilightError
 from multilight.scenes.frozen import Frozen

@@ -14,7 +14,7 @@ from pathlib import Path
 from multilight.datagen.backends.choose import has_mitsuba, pick_renderer
 from multilight.datagen.backends.machine import llvm
 from multilight.datagen.backends.machine.fetch_llvm import fetch_llvm, has_apt, known_packages
-from multilight.datagen.backends.machine.variants import Choice, Gpu, choose, choose_variant, find_gpu, try_out
+from multilight.datagen.backends.machine.mitsuba_variant import Choice, Gpu, choose, choose_variant, find_gpu, try_out
 from multilight.datagen.commands.output import progress
 from multilight.datagen.config.dataset import RendererName
 from multilight.datagen.tables import print_table

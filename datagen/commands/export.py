@@ -17,7 +17,7 @@ from multilight.datagen.text import plain
 if TYPE_CHECKING:
     from multilight.datagen.export.captures.capture import Write
     from multilight.datagen.report import Report
-    from multilight.datagen.storage.source import DatasetSource
+    from multilight.datagen.storage.open_dataset import DatasetSource
 
 
 class DtcMultilight(DtcExport):
@@ -54,7 +54,7 @@ class _Source:
     def opened(self) -> "Iterator[tuple[DatasetSource, Report]]":
         """Open the dataset, show progress, and say at the end what was passed over."""
         from multilight.datagen.commands.output import progress
-        from multilight.datagen.storage.source import open_dataset
+        from multilight.datagen.storage.open_dataset import open_dataset
 
         source = open_dataset(self.dir, where=self.where, on_broken=self.on_broken)
         with progress("scenes", "exporting") as report:

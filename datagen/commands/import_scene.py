@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from multilight.datagen.commands.make import config_key, make_scenes
+from multilight.datagen.commands.dataset import config_key, make_scenes
 from multilight.datagen.config.dataset import Denoise, Renderer, load_config
 from multilight.datagen.errors import UserError
 

@@ -72,7 +72,7 @@ class View:
 
     def run(self) -> int:
         """Serve the page until it is stopped."""
-        from multilight.datagen.storage.source import open_dataset
+        from multilight.datagen.storage.open_dataset import open_dataset
         from multilight.datagen.view.server import listen, open_browser
 
         if self.port is not None and not 0 <= self.port < 1 << 16:
@@ -113,7 +113,7 @@ class Sheet:
     def run(self) -> int:
         """Write the sheet and return the exit code."""
         from multilight.datagen.files.outputs import check_file, written
-        from multilight.datagen.storage.source import open_dataset
+        from multilight.datagen.storage.open_dataset import open_dataset
         from multilight.datagen.tuples.sheet import contact_sheet
 
         if not 1 <= self.scenes <= 10_000:

@@ -7,7 +7,7 @@ import polars as pl
 
 from multilight.datagen.errors import UserError
 from multilight.datagen.storage.index import COLUMNS
-from multilight.datagen.storage.source import open_dataset
+from multilight.datagen.storage.open_dataset import open_dataset
 from multilight.datagen.tables import print_table
 from multilight.datagen.text import did_you_mean
 

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from multilight.datagen.report import Report
-from multilight.datagen.storage.source import repair_command
+from multilight.datagen.storage.open_dataset import repair_command
 from multilight.datagen.tables import print_table
 from multilight.datagen.text import duration, plain, size, terminal
 from multilight.datagen.verification.dataset import ANEW, Result, Verification

@@ -5,7 +5,7 @@ import os
 from dataclasses import asdict, dataclass
 from typing import Annotated
 
-from multilight.datagen.commands.make import Settings, config_key
+from multilight.datagen.commands.dataset import Settings, config_key
 from multilight.datagen.errors import UserError
 from multilight.datagen.text import duration, size
 

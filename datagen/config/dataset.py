@@ -13,7 +13,7 @@ from multilight.scenes.assets.splits import Split, SplitShares, scene_place, sce
 from multilight.scenes.cameras.paths import CameraSettings
 from multilight.scenes.files.limits import shown
 from multilight.scenes.frozen import Settings, UnitFloat
-from multilight.scenes.streams import Weights
+from multilight.scenes.random_streams import Weights
 
 Kind = Literal["tabletop", "room", "outdoor", "studio", "custom", "spheres", "imported"]
 RendererName = Literal["mitsuba", "cycles", "analytic"]

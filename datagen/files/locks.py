@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import IO
 
 from multilight.datagen.errors import StoreError, UserError, reason_of
-from multilight.scenes.files.inside import OutsideError, held
+from multilight.scenes.files.confined import OutsideError, held
 
 LOCK = ".lock"
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from multilight.datagen.errors import UserError, full_disk_told, reason_of
-from multilight.scenes.files.whole import write_whole
+from multilight.scenes.files.atomic import write_whole
 
 
 def check_folder(path: Path) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from multilight.datagen.backends.choose import resolve_renderer
-from multilight.datagen.backends.machine.variants import choose_variant
+from multilight.datagen.backends.machine.mitsuba_variant import choose_variant
 from multilight.datagen.config.dataset import DatasetConfig, RendererName
 from multilight.datagen.errors import StoreError, UserError, full_disk_told
 from multilight.datagen.files.locks import locked
@@ -17,8 +17,8 @@ from multilight.datagen.production.finishing import finish, survey
 from multilight.datagen.production.library import check_library, located, same_background
 from multilight.datagen.production.running import PATIENCE, Plan, Work, run_scenes
 from multilight.datagen.report import Report
+from multilight.datagen.storage.address import find_place
 from multilight.datagen.storage.blocks import read_blocks
-from multilight.datagen.storage.place import find_place
 from multilight.datagen.storage.records import GHOSTS, DatasetRecord, ImportAccount
 from multilight.datagen.storage.store import COPIES, read_dataset, read_scene, scene_dir, scene_indices, write_text
 from multilight.datagen.verification.dataset import ANEW

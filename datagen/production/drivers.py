@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import IO
 
 from multilight.datagen.production.shards import Shard
-from multilight.scenes.files.whole import write_whole
+from multilight.scenes.files.atomic import write_whole
 
 FOLDER = ".drivers"
 BEAT = 5.0

@@ -24,7 +24,7 @@ from multilight.datagen.production.worker import WorkerSetup, run_scene
 from multilight.datagen.report import Report
 from multilight.datagen.storage.store import scene_dir
 from multilight.scenes.errors import MultilightError
-from multilight.scenes.streams import Streams
+from multilight.scenes.random_streams import Streams
 
 LEAST = 6
 """Scenes that are made at least, where there are so many: two tell nothing of how they differ."""

@@ -11,14 +11,14 @@ from stat import S_ISREG
 
 import polars as pl
 
+from multilight.datagen.storage.address import find_place
 from multilight.datagen.storage.blocks import BLOCK, Index, block_file, joined, read_blocks, stated_blocks
 from multilight.datagen.storage.index import Row, index_bytes, index_row, index_table, table_of
-from multilight.datagen.storage.place import find_place
+from multilight.datagen.storage.open_dataset import scene_names
 from multilight.datagen.storage.records import AssetCredit, DatasetRecord, view_file
-from multilight.datagen.storage.source import scene_names
 from multilight.datagen.storage.store import read_dataset, scene_dir, write_text
 from multilight.datagen.verification.dataset import PREVIEW, check_files, credits_in_order
-from multilight.scenes.files.whole import write_whole
+from multilight.scenes.files.atomic import write_whole
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from multilight.datagen.errors import UserError, full_disk_told
 from multilight.datagen.production.denoise import AUTO_SPP
 from multilight.datagen.production.stopwatch import Stopwatch
 from multilight.datagen.production.view import RenderedView, SceneSetup, render_view
+from multilight.datagen.storage.object_variants import ALL
 from multilight.datagen.storage.records import AssetCredit, SceneRecord, ViewRecord, view_file
 from multilight.datagen.storage.store import (
     ViewData,
@@ -28,16 +29,15 @@ from multilight.datagen.storage.store import (
     write_text,
     write_view,
 )
-from multilight.datagen.storage.variants import ALL
 from multilight.datagen.tuples.exposure import meter_condition, thumbnail
 from multilight.datagen.tuples.sheet import save_preview
 from multilight.datagen.verification.views import Fault, brightness, verify_exposure, verify_pair, verify_rendered
-from multilight.lights.conditions import sample_conditions
 from multilight.lights.rigs.natural import natural_rig
 from multilight.lights.rigs.sample import SPHERES_KINDS, sample_rig
+from multilight.lights.sample_conditions import sample_conditions
 from multilight.lights.spec import EmissiveLight, EnvironmentLight, LightRig
 from multilight.scenes.assets.library import AssetError, AssetLibrary
-from multilight.scenes.files.whole import sync
+from multilight.scenes.files.atomic import sync
 from multilight.scenes.frozen import Frozen
 from multilight.scenes.geometry.contact import check_contacts
 from multilight.scenes.kinds.custom import sample_custom
@@ -46,9 +46,9 @@ from multilight.scenes.kinds.rooms.sample import RoomSettings, sample_room
 from multilight.scenes.kinds.spheres import sample_spheres
 from multilight.scenes.kinds.studio import sample_studio
 from multilight.scenes.kinds.tabletop import sample_tabletop
+from multilight.scenes.random_streams import Streams
 from multilight.scenes.spec import MeshAsset, SceneSpec
 from multilight.scenes.still_life.sample import StillLifeSettings
-from multilight.scenes.streams import Streams
 
 S = TypeVar("S", bound=Frozen)
 ATTEMPTS = 3

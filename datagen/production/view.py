@@ -12,9 +12,9 @@ from multilight.datagen.production.shelf import Shelf
 from multilight.datagen.production.stopwatch import Stopwatch
 from multilight.datagen.storage.halves import Halves
 from multilight.datagen.storage.layers import LayerStack
+from multilight.datagen.storage.object_variants import ALL, Variant
 from multilight.datagen.storage.records import LayerEnergy, Residuals
 from multilight.datagen.storage.store import ViewData, in_half
-from multilight.datagen.storage.variants import ALL, Variant
 from multilight.datagen.verification.residuals import noise_variance, residual
 from multilight.lights.spec import LightRig
 from multilight.scenes.arrays import Float32, Mask

@@ -16,11 +16,11 @@ from multilight.datagen.stats.duplicates import Bits, Pair, alike_in_content, al
 from multilight.datagen.stats.facts import SceneFacts, scene_facts
 from multilight.datagen.stats.pictures import picture_values, read_preview
 from multilight.datagen.stats.quantities import QUANTITIES, Coverage, Quantity, Value, coverage_of
-from multilight.datagen.storage.source import open_dataset, spread
+from multilight.datagen.storage.open_dataset import open_dataset, spread
 from multilight.datagen.storage.store import scene_dir
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.assets.splits import SPLITS, Split
-from multilight.scenes.streams import Streams
+from multilight.scenes.random_streams import Streams
 
 MOST_MEASURED = 2000
 """Scenes that are measured unless more are asked for: finding those that are alike takes the square of it."""

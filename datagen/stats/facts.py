@@ -16,8 +16,8 @@ from multilight.scenes.assets.splits import Split, asset_split
 from multilight.scenes.cameras.pinhole import focal_length_mm, pixel_rays, project
 from multilight.scenes.cameras.trajectory import SEEN, in_frame
 from multilight.scenes.geometry.rays import SceneRays, body_triangles, surface_points
+from multilight.scenes.random_streams import Streams
 from multilight.scenes.spec import Body, Camera, MeshAsset, SceneSpec, Sphere
-from multilight.scenes.streams import Streams
 
 POINTS = 48
 """Points on an insertable object's surface that are looked for."""

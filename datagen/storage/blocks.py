@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 import polars as pl
 
 from multilight.datagen.errors import StoreError
+from multilight.datagen.storage.address import Place
 from multilight.datagen.storage.index import index_table, parse_index
-from multilight.datagen.storage.place import Place
 from multilight.datagen.storage.records import GHOSTS, DatasetRecord
 
 BLOCK = 10_000

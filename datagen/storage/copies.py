@@ -42,7 +42,7 @@ from multilight.datagen.storage.manifest import (
     size_fault,
     write_manifest,
 )
-from multilight.datagen.storage.source import DatasetSource
+from multilight.datagen.storage.open_dataset import DatasetSource
 from multilight.datagen.storage.store import file_inside, write_text
 
 WORK = "work"

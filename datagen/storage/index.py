@@ -8,9 +8,9 @@ import numpy as np
 import polars as pl
 
 from multilight.datagen.errors import StoreError
+from multilight.datagen.storage.object_variants import ALL
 from multilight.datagen.storage.parquet import check_parquet
 from multilight.datagen.storage.records import SceneRecord
-from multilight.datagen.storage.variants import ALL
 from multilight.lights.photometry.angular_size import angular_diameter
 from multilight.scenes.appearance import is_mirror, material_class
 from multilight.scenes.cameras.pinhole import focal_length_mm

@@ -18,7 +18,7 @@ from typing import Literal
 from pydantic import Field, ValidationError
 
 from multilight.datagen.errors import StoreError
-from multilight.datagen.storage.source import DatasetSource
+from multilight.datagen.storage.open_dataset import DatasetSource
 from multilight.datagen.storage.store import file_sha256, scene_folder, write_text
 from multilight.scenes.frozen import Frozen
 

@@ -18,11 +18,11 @@ from multilight.datagen.report import Report
 from multilight.datagen.storage.copies import Copy, files_of, in_processes, making, whole_folder
 from multilight.datagen.storage.index import index_bytes
 from multilight.datagen.storage.manifest import FileEntry
+from multilight.datagen.storage.open_dataset import DatasetSource, open_dataset
+from multilight.datagen.storage.open_training import VISIBLE, packed_file, visible_rows
 from multilight.datagen.storage.packed import PackedView, pack_view, read_packed, value_fault, write_packed
-from multilight.datagen.storage.source import DatasetSource, open_dataset
 from multilight.datagen.storage.store import ViewData, scene_folder
-from multilight.datagen.storage.training_source import VISIBLE, packed_file, visible_rows
-from multilight.scenes.files.whole import write_whole
+from multilight.scenes.files.atomic import write_whole
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Self
 from pydantic import Field, ValidationInfo, model_validator
 
 from multilight.datagen.config.dataset import DatasetConfig, RendererName
-from multilight.datagen.storage.variants import ALL
+from multilight.datagen.storage.object_variants import ALL
 from multilight.lights.spec import EmissiveLight, LightingCondition, LightRig
 from multilight.scenes.assets.splits import Split
 from multilight.scenes.frozen import Frozen, Matrix4

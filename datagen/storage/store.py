@@ -26,14 +26,14 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from multilight.datagen.errors import StoreError
+from multilight.datagen.storage.address import find_place
 from multilight.datagen.storage.halves import Halves
 from multilight.datagen.storage.layers import GeometryBuffers
-from multilight.datagen.storage.place import find_place
+from multilight.datagen.storage.object_variants import ALL, RAW, variants_of
 from multilight.datagen.storage.records import DatasetRecord, SceneRecord
-from multilight.datagen.storage.variants import ALL, RAW, variants_of
 from multilight.scenes.arrays import Float32
-from multilight.scenes.files.inside import OutsideError, inside
-from multilight.scenes.files.whole import write_whole
+from multilight.scenes.files.atomic import write_whole
+from multilight.scenes.files.confined import OutsideError, inside
 
 _Record = TypeVar("_Record", SceneRecord, DatasetRecord)
 Channels = dict[str, NDArray[np.generic]]

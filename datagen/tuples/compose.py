@@ -1,8 +1,8 @@
 """Tuples from layers: background, composite, target and effect under any lighting."""
 
 from multilight.datagen.errors import UserError
+from multilight.datagen.storage.object_variants import ALL, Variant
 from multilight.datagen.storage.store import ViewData
-from multilight.datagen.storage.variants import ALL, Variant
 from multilight.lights.relight import mix
 from multilight.lights.spec import LightingCondition
 from multilight.scenes.arrays import Float32

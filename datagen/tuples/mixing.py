@@ -12,12 +12,12 @@ from PIL import Image
 
 from multilight.datagen.errors import UserError
 from multilight.datagen.files.outputs import check_file, written
+from multilight.datagen.storage.open_dataset import open_dataset
 from multilight.datagen.storage.records import SceneRecord
-from multilight.datagen.storage.source import open_dataset
 from multilight.datagen.storage.store import ViewData, write_exr
 from multilight.datagen.text import did_you_mean, plain
 from multilight.datagen.tuples import compose, pictures
-from multilight.datagen.tuples.conditions import find_condition, in_words, save_condition
+from multilight.datagen.tuples.condition_files import find_condition, in_words, save_condition
 from multilight.datagen.tuples.request import MixRequest
 from multilight.lights.describe import describe
 from multilight.lights.display.tonemap import to_display

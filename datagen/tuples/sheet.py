@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw
 
+from multilight.datagen.storage.open_dataset import DatasetSource
 from multilight.datagen.storage.records import SceneRecord
-from multilight.datagen.storage.source import DatasetSource
 from multilight.datagen.storage.store import ViewData, read_view
 from multilight.datagen.tuples import compose
 from multilight.datagen.tuples.pictures import depth_picture, effect_picture

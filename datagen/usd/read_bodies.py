@@ -10,7 +10,7 @@ from pxr import UsdGeom, UsdShade
 from multilight.datagen.errors import UserError
 from multilight.datagen.usd.bodies import geometry_digest
 from multilight.datagen.usd.layout import get_own
-from multilight.scenes.assets.formats.scene_file import Emission, image_digest
+from multilight.scenes.assets.formats.imported import Emission, image_digest
 from multilight.scenes.assets.formats.usd.materials import Picture, bound_surface, read_material
 from multilight.scenes.assets.library import AssetError, AssetLibrary
 from multilight.scenes.assets.packs.background import PACK

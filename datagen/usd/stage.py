@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom
 
-from multilight.datagen.backends.parts import body_parts, glowing_parts
+from multilight.datagen.backends.body_parts import body_parts, glowing_parts
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.usd import layout
 from multilight.datagen.usd.bodies import add_body, credit

@@ -7,7 +7,7 @@ from pxr import Usd, UsdValidation
 from multilight.datagen.errors import UserError
 from multilight.datagen.report import Report
 from multilight.datagen.storage.copies import making
-from multilight.datagen.storage.source import DatasetSource
+from multilight.datagen.storage.open_dataset import DatasetSource
 from multilight.datagen.usd.stage import STAGE, write_stage
 from multilight.scenes.assets.library import AssetLibrary
 

@@ -21,10 +21,10 @@ from multilight.datagen.storage.manifest import (
     scene_part,
     size_fault,
 )
+from multilight.datagen.storage.open_dataset import DatasetSource, open_dataset
+from multilight.datagen.storage.open_training import VISIBLE
 from multilight.datagen.storage.packed import read_packed
-from multilight.datagen.storage.source import DatasetSource, open_dataset
 from multilight.datagen.storage.store import scene_folder
-from multilight.datagen.storage.training_source import VISIBLE
 from multilight.datagen.text import plain
 
 

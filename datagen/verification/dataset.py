@@ -10,11 +10,11 @@ from dataclasses import dataclass, field
 
 from multilight.datagen.errors import StoreError
 from multilight.datagen.report import Report, silent
+from multilight.datagen.storage.address import Place, find_place
 from multilight.datagen.storage.blocks import Index, block_file, read_blocks, stated_blocks
 from multilight.datagen.storage.index import ADDED, index_row
-from multilight.datagen.storage.place import Place, find_place
+from multilight.datagen.storage.open_dataset import read_record, scene_names, spread
 from multilight.datagen.storage.records import GHOSTS, AssetCredit, DatasetRecord, SceneRecord
-from multilight.datagen.storage.source import read_record, scene_names, spread
 from multilight.datagen.storage.store import MOST_RECORD, file_sha256, parse_dataset, scene_folder, scene_number
 from multilight.datagen.verification.views import Fault, Lend, verify_views
 

@@ -12,9 +12,9 @@ import numpy as np
 from scipy.ndimage import binary_erosion, maximum_filter
 
 from multilight.datagen.errors import StoreError
+from multilight.datagen.storage.object_variants import ALL, variants_of
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.store import ViewData, as_stored, file_sha256, read_view
-from multilight.datagen.storage.variants import ALL, variants_of
 from multilight.datagen.tuples import compose
 from multilight.datagen.tuples.exposure import BRIGHT, DARK, levels
 from multilight.datagen.verification.residuals import SIDES, residual

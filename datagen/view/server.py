@@ -11,7 +11,7 @@ from os import environ
 from pathlib import Path
 
 from multilight.datagen.errors import StoreError, UserError
-from multilight.datagen.storage.source import DatasetSource
+from multilight.datagen.storage.open_dataset import DatasetSource
 from multilight.datagen.storage.store import scene_folder
 from multilight.datagen.text import plain
 from multilight.datagen.view.content import (

@@ -14,7 +14,7 @@ from multilight.scenes.arrays import Float64
 from multilight.scenes.colour import srgb_decode
 from multilight.scenes.frozen import Rgb, triple
 from multilight.scenes.numbers import smoothstep
-from multilight.scenes.streams import Rng
+from multilight.scenes.random_streams import Rng
 
 COLDEST, HOTTEST = 1000.0, 25000.0
 """Range of colour temperatures in K: below, Rec.709 shows red only; above, the CIE daylight formula ends."""

@@ -22,13 +22,13 @@ from multilight.lights.spec import (
     SunLight,
 )
 from multilight.scenes.arrays import Float64
-from multilight.scenes.assets.formats.scene_file import FoundLight
+from multilight.scenes.assets.formats.imported import FoundLight
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.frozen import triple
 from multilight.scenes.names import free_name
 from multilight.scenes.poses import matrix4
+from multilight.scenes.random_streams import Rng
 from multilight.scenes.spec import SceneSpec
-from multilight.scenes.streams import Rng
 
 PHOTOMETRIC = ("cd", "lx", "nit")
 WIDEST_CONE = 1.49

@@ -12,7 +12,7 @@ from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.colour import luminance
 from multilight.scenes.frozen import triple
 from multilight.scenes.poses import direction_from
-from multilight.scenes.streams import Rng, log_uniform, pick
+from multilight.scenes.random_streams import Rng, log_uniform, pick
 
 SUN_SIZES = (SUN_ANGLE, 0.06)
 """Angular diameters [rad] of the suns that are drawn: from the sun's own to a veiled one."""

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from multilight.scenes.arrays import Float64
 from multilight.scenes.frozen import Frozen
-from multilight.scenes.streams import Streams, pick_at
+from multilight.scenes.random_streams import Streams, pick_at
 
 KeyKind = Literal["area", "point", "spot", "sun", "environment"]
 Shaping = Literal["plain", "gobo", "profile"]

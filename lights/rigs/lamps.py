@@ -21,7 +21,7 @@ from multilight.scenes.assets.formats.ies import profile_flux
 from multilight.scenes.cameras.pinhole import look_at
 from multilight.scenes.frozen import Rgb, triple
 from multilight.scenes.poses import direction_from, matrix4
-from multilight.scenes.streams import Rng, log_uniform, pick
+from multilight.scenes.random_streams import Rng, log_uniform, pick
 
 LampKind = Literal["area", "point", "spot"]
 Lamp = PointLight | SpotLight | AreaLight

@@ -9,7 +9,7 @@ from multilight.lights.rigs.design import ELEVATIONS, RigDesign
 from multilight.lights.rigs.lamps import LampKind, LampPlan, draw_tint, hang
 from multilight.lights.rigs.tabletop import glow_of, key_tint
 from multilight.lights.spec import Light, LightRig
-from multilight.scenes.streams import Rng, log_uniform, pick_at, weighted_pick
+from multilight.scenes.random_streams import Rng, log_uniform, pick_at, weighted_pick
 
 MOODS = {"sun": 0.36, "golden": 0.2, "overcast": 0.12, "place": 0.16, "night": 0.16}
 """What the weather and the hour are, with their probabilities."""

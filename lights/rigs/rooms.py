@@ -25,8 +25,8 @@ from multilight.scenes.materials import GLOW
 from multilight.scenes.materials.emission import sample_glow
 from multilight.scenes.meshes import triangle_areas
 from multilight.scenes.poses import matrix4, translation
+from multilight.scenes.random_streams import Rng, Streams, log_uniform, weighted_pick
 from multilight.scenes.spec import Body, MeshAsset, SceneSpec, Texture
-from multilight.scenes.streams import Rng, Streams, log_uniform, weighted_pick
 
 MOST_LIGHTS = 8
 DAY_LUX = (200.0, 1200.0)

@@ -13,8 +13,8 @@ from multilight.lights.rigs.tabletop import LightKind, tabletop_rig
 from multilight.lights.spec import EmissiveLight, LightRig
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.names import free_name
+from multilight.scenes.random_streams import Streams
 from multilight.scenes.spec import SceneSpec
-from multilight.scenes.streams import Streams
 
 ALL_KINDS: tuple[LightKind, ...] = get_args(LightKind)
 SPHERES_KINDS: tuple[LightKind, ...] = ("environment", "sun", "point", "spot")

@@ -13,7 +13,7 @@ from multilight.lights.rigs.tabletop import glow_of, key_tint
 from multilight.lights.spec import LightRig, SpotLight
 from multilight.scenes.frozen import triple
 from multilight.scenes.poses import direction_from
-from multilight.scenes.streams import Rng, log_uniform
+from multilight.scenes.random_streams import Rng, log_uniform
 
 KEY_LUX = (500.0, 3000.0)
 """Illuminance that the key aims at [lx]: continuous studio heads; flashes give more in less time."""

@@ -15,9 +15,9 @@ from multilight.lights.rigs.lamps import LampKind, LampPlan, Tint, draw_tint, ge
 from multilight.lights.spec import EmissiveLight, EnvironmentLight, Light, LightRig, PointLight, SpotLight, SunLight
 from multilight.scenes.appearance import is_mirror
 from multilight.scenes.materials.emission import sample_glow
+from multilight.scenes.random_streams import Rng, log_uniform, pick, weighted_pick
 from multilight.scenes.spec import MeshAsset
 from multilight.scenes.still_life.setting import emissive_candidate
-from multilight.scenes.streams import Rng, log_uniform, pick, weighted_pick
 
 LightKind = Literal["environment", "sun", "point", "spot", "area", "emissive"]
 

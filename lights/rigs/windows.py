@@ -12,8 +12,8 @@ from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.colour import luminance
 from multilight.scenes.frozen import triple
 from multilight.scenes.poses import direction_from
+from multilight.scenes.random_streams import Rng, log_uniform, pick
 from multilight.scenes.spec import Body
-from multilight.scenes.streams import Rng, log_uniform, pick
 
 SUN_RATIO = (1.0, 5.0)
 """Illuminance of sunlight, facing it, against that of the sky on the window."""

@@ -17,7 +17,7 @@ from multilight.datagen.config.loading import Values, joined, validated
 from multilight.datagen.errors import UserError
 from multilight.datagen.files.outputs import check_folder
 from multilight.datagen.report import Report, silent
-from multilight.datagen.storage.source import open_dataset
+from multilight.datagen.storage.open_dataset import open_dataset
 from multilight.datagen.storage.store import write_text
 from multilight.model.ablations.settings import AblationSettings
 from multilight.model.configs.stage2d import NETWORKS, TrainingConfig

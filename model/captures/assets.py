@@ -9,7 +9,7 @@ from multilight.datagen.errors import UserError
 from multilight.scenes.arrays import Float32, Float64
 from multilight.scenes.assets.cache import default_cache
 from multilight.scenes.assets.formats.cleaning import clean_mesh
-from multilight.scenes.assets.formats.intake import SUFFIXES, Intake
+from multilight.scenes.assets.formats.import_file import SUFFIXES, Intake
 from multilight.scenes.assets.library import AssetError, AssetLibrary
 from multilight.scenes.colour import srgb_decode
 from multilight.scenes.files.limits import open_picture

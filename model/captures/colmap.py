@@ -10,7 +10,7 @@ from multilight.datagen.errors import UserError
 from multilight.model.captures.capture import Capture, Shot, load_shots
 from multilight.model.captures.lenses import Lens
 from multilight.scenes.cameras.pinhole import opencv_from_opengl
-from multilight.scenes.files.inside import OutsideError, inside
+from multilight.scenes.files.confined import OutsideError, inside
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")
 MODELS = ("sparse/0", "sparse", "colmap/sparse/0", ".")

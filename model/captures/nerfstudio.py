@@ -9,7 +9,7 @@ import trimesh
 from multilight.datagen.errors import UserError
 from multilight.model.captures.capture import Capture, Shot, load_shots
 from multilight.model.captures.lenses import Lens
-from multilight.scenes.files.inside import inside
+from multilight.scenes.files.confined import inside
 from multilight.scenes.files.limits import open_picture, read_json, shown
 
 Json = dict[str, Any]

@@ -9,7 +9,7 @@ from multilight.datagen.errors import UserError
 from multilight.model.captures.capture import Capture
 from multilight.scenes.arrays import Float64
 from multilight.scenes.cameras.pinhole import unproject
-from multilight.scenes.streams import Rng
+from multilight.scenes.random_streams import Rng
 
 TRIALS = 1000
 TILT = np.deg2rad(30.0)

@@ -62,7 +62,7 @@ class Insertion:
         """Raise `UserError` for whatever can be known to be wrong before torch is loaded and the work starts."""
         from multilight.datagen.files.outputs import check_folder
         from multilight.model.configs.checks import check_file, check_range
-        from multilight.model.configs.ready import check_device, weights_config
+        from multilight.model.configs.ready_made import check_device, weights_config
         from multilight.model.configs.stage2d import NetworkConfig
         from multilight.model.configs.stage3d import SceneNetworkConfig
 

@@ -45,7 +45,7 @@ class Ablate(AblationSettings):
         """Raise `UserError` for whatever can be known to be wrong before the work."""
         from multilight.datagen.files.outputs import check_folder
         from multilight.model.configs.checks import LEAST_SIDE, MOST_SIDE, check_range, check_splits
-        from multilight.model.configs.ready import weights_config
+        from multilight.model.configs.ready_made import weights_config
         from multilight.model.configs.stage2d import NetworkConfig
 
         if self.steps is not None and self.minutes is not None:

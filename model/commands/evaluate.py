@@ -82,7 +82,7 @@ class Evaluate:
         """Raise `UserError` for whatever can be known to be wrong before the work."""
         from multilight.datagen.files.outputs import check_folder
         from multilight.model.configs.checks import LEAST_SIDE, MOST_SIDE, check_file, check_range, check_splits
-        from multilight.model.configs.ready import check_device, weights_config
+        from multilight.model.configs.ready_made import check_device, weights_config
         from multilight.model.configs.stage2d import NetworkConfig
         from multilight.model.configs.stage3d import SceneNetworkConfig
 
@@ -127,7 +127,7 @@ class Evaluate:
         import torch
 
         from multilight.datagen.storage.store import file_sha256
-        from multilight.model.configs.ready import weights_file
+        from multilight.model.configs.ready_made import weights_file
 
         place = str(self.dir or self.owl or self.foscom)
         facts = {"data": place, "frames": str(frames), "torch": torch.__version__, "device": self.device}

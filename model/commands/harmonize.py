@@ -20,7 +20,7 @@ class Harmonize(Files):
     def run(self) -> int:
         """Harmonize and return the exit code."""
         from multilight.datagen.commands.output import print_written, progress
-        from multilight.model.configs.ready import check_device, weights_config
+        from multilight.model.configs.ready_made import check_device, weights_config
         from multilight.model.configs.stage2d import NetworkConfig
         from multilight.model.inference.pictures import check_picture, write_picture
         from multilight.model.inference.read import read_files

@@ -41,7 +41,7 @@ class Train:
         from multilight.datagen.files.outputs import check_folder
         from multilight.datagen.report import Report, silent
         from multilight.model.configs.checks import check_training
-        from multilight.model.configs.ready import config_file
+        from multilight.model.configs.ready_made import config_file
         from multilight.model.configs.stage2d import TrainingConfig
         from multilight.model.configs.stage3d import SceneTrainingConfig
 

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from multilight.datagen.errors import StoreError, UserError
-from multilight.datagen.storage.source import open_dataset
-from multilight.model.configs.ready import weights_config
+from multilight.datagen.storage.open_dataset import open_dataset
+from multilight.model.configs.ready_made import weights_config
 from multilight.model.configs.stage2d import NetworkConfig, TrainingConfig
 from multilight.model.configs.stage3d import SceneTrainingConfig
 

@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 from torch.utils.data import Dataset, IterableDataset, get_worker_info
 
+from multilight.datagen.storage.open_training import open_training
 from multilight.datagen.storage.packed import PackedView
-from multilight.datagen.storage.training_source import open_training
 from multilight.model.data.augment import (
     PLAIN,
     Crop,

@@ -6,10 +6,10 @@ from functools import lru_cache
 import numpy as np
 
 from multilight.datagen.storage.packed import TILE, PackedView
-from multilight.lights.conditions import EXPOSURE, GAIN, GELLED, MIRED
 from multilight.lights.display.tonemap import meter_ev
 from multilight.lights.photometry.colour import GELS, gel_rgb, temperature_to_rgb
 from multilight.lights.rigs.natural import WHITES
+from multilight.lights.sample_conditions import EXPOSURE, GAIN, GELLED, MIRED
 from multilight.scenes.arrays import Float32, Mask
 from multilight.scenes.colour import luminance
 

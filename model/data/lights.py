@@ -8,10 +8,10 @@ import torch
 from torch import Tensor
 
 from multilight.datagen.errors import StoreError
-from multilight.datagen.storage.place import Place
+from multilight.datagen.storage.address import Place
 from multilight.datagen.storage.store import MOST_RECORD, scene_folder
-from multilight.lights.conditions import DAYLIGHT
 from multilight.lights.photometry.angular_size import angular_diameter
+from multilight.lights.sample_conditions import DAYLIGHT
 from multilight.lights.spec import AreaLight, EmissiveLight, EnvironmentLight, Light, LightRig, SunLight
 from multilight.scenes.arrays import Float32, Float64, Int64, Mask
 from multilight.scenes.frozen import Frozen, Matrix4

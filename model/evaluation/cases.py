@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from multilight.datagen.errors import UserError
+from multilight.datagen.storage.open_training import open_training
 from multilight.datagen.storage.records import SceneRecord
-from multilight.datagen.storage.training_source import open_training
 from multilight.lights.photometry.angular_size import angular_diameter
 from multilight.lights.spec import EmissiveLight
 from multilight.model.data.dataset import MultiLightDataset, make_samples

@@ -13,7 +13,7 @@ from multilight.model.evaluation.cases import Case, Group, LazyGroup
 from multilight.model.inference.depth import DepthModel, guessed_depth
 from multilight.model.inference.pictures import read_mask, read_picture, resized
 from multilight.scenes.arrays import Float32
-from multilight.scenes.files.inside import OutsideError, inside
+from multilight.scenes.files.confined import OutsideError, inside
 from multilight.scenes.files.limits import read_json, read_text
 
 DIFFERS = 4.0 / 255.0

@@ -16,7 +16,7 @@ from torch.optim import Optimizer
 from multilight.datagen.errors import UserError
 from multilight.datagen.files.outputs import written
 from multilight.datagen.storage.store import write_text
-from multilight.model.configs.ready import weights_config, weights_file
+from multilight.model.configs.ready_made import weights_config, weights_file
 from multilight.model.configs.stage2d import NetworkConfig, TrainingConfig
 from multilight.model.configs.stage3d import SceneNetworkConfig
 from multilight.model.networks.compositing2d import Compositing2D

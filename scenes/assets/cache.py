@@ -17,8 +17,8 @@ from typing import TypeVar
 import OpenEXR
 
 from multilight.scenes.assets.info import AssetError
+from multilight.scenes.files.atomic import write_whole
 from multilight.scenes.files.limits import open_picture
-from multilight.scenes.files.whole import write_whole
 
 T = TypeVar("T")
 _thrown_away: dict[Path, str] = {}

@@ -12,9 +12,9 @@ from multilight.scenes.assets.builtin.pack import BuiltinPack
 from multilight.scenes.assets.cache import default_cache, read_kept
 from multilight.scenes.assets.environments import PmndrsPack
 from multilight.scenes.assets.fetch import SOURCES, is_fetched, pack_folder, pack_record
-from multilight.scenes.assets.formats.scene_file import Note
+from multilight.scenes.assets.formats.imported import Note
 from multilight.scenes.assets.info import AssetError, AssetInfo, AssetRole
-from multilight.scenes.assets.memory import MeshMemory
+from multilight.scenes.assets.mesh_memory import MeshMemory
 from multilight.scenes.assets.packs.background import BackgroundPack
 from multilight.scenes.assets.packs.folder import FolderPack
 from multilight.scenes.assets.packs.pack import Pack

@@ -19,7 +19,7 @@ from typing import Literal
 
 from multilight.scenes.assets.info import AssetInfo, AssetRole
 from multilight.scenes.frozen import UnitFloat
-from multilight.scenes.streams import Weights, pick_at
+from multilight.scenes.random_streams import Weights, pick_at
 
 Split = Literal["train", "val", "test", "test_ood"]
 SPLITS: tuple[Split, ...] = ("train", "val", "test", "test_ood")

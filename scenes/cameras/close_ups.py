@@ -7,8 +7,8 @@ import numpy as np
 from multilight.scenes.arrays import Float64
 from multilight.scenes.cameras.pinhole import camera_from_lens, focal_length_mm, half_angle, look_at
 from multilight.scenes.poses import box_centre, direction_from
+from multilight.scenes.random_streams import Rng
 from multilight.scenes.spec import Camera
-from multilight.scenes.streams import Rng
 
 MOVES_IN = 0.6
 """Probability that the last views of a scene move in."""

@@ -16,8 +16,8 @@ from multilight.scenes.cameras.pinhole import camera_from_lens, half_angle, look
 from multilight.scenes.frozen import Settings, UnitFloat
 from multilight.scenes.numbers import smoothstep
 from multilight.scenes.poses import direction_from
+from multilight.scenes.random_streams import Rng, Weights, log_uniform
 from multilight.scenes.spec import Camera
-from multilight.scenes.streams import Rng, Weights, log_uniform
 
 TrajectoryKind = Literal["approach", "orbit", "handheld", "random"]
 """From distant to close; round the subject; a hand that holds still as best it can; anywhere at all."""

@@ -22,8 +22,8 @@ from multilight.scenes.cameras.pinhole import project, with_depth_of_field
 from multilight.scenes.errors import MultilightError
 from multilight.scenes.geometry.rays import SceneRays
 from multilight.scenes.poses import box_centre, translation
+from multilight.scenes.random_streams import Rng, log_uniform, pick
 from multilight.scenes.spec import Camera
-from multilight.scenes.streams import Rng, log_uniform, pick
 
 CLEARANCE = 0.08
 """Smallest distance [m] of a camera to the convex hull of any body, and to any wall."""

@@ -11,8 +11,8 @@ from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.geometry.support_surfaces import stacked_faces
 from multilight.scenes.meshes import stacked, triangle_areas, triangle_crosses
 from multilight.scenes.poses import apply_pose
+from multilight.scenes.random_streams import Rng
 from multilight.scenes.spec import Body, MeshAsset, Rectangle, Sphere
-from multilight.scenes.streams import Rng
 
 
 def body_triangles(body: Body, library: AssetLibrary) -> tuple[Float64, Int64]:

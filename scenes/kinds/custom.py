@@ -14,10 +14,10 @@ from multilight.scenes.geometry.solids import Placed
 from multilight.scenes.geometry.support_surfaces import FLATNESS, SupportSurface, largest_region, largest_square
 from multilight.scenes.meshes import triangle_crosses
 from multilight.scenes.poses import direction_from
+from multilight.scenes.random_streams import Streams, pick
 from multilight.scenes.spec import Body, SceneSpec
 from multilight.scenes.still_life.sample import StillLifeSettings, sample_still_life
 from multilight.scenes.still_life.setting import Setting, make_body
-from multilight.scenes.streams import Streams, pick
 
 CELL = 0.02
 """Grid [m] on which surfaces are looked for; coarser on surfaces beyond `MOST_CELLS`."""

@@ -6,13 +6,13 @@ from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.materials import pick_texture, sample_material, textured
 from multilight.scenes.poses import translation
+from multilight.scenes.random_streams import Rng, Streams, weighted_pick
 from multilight.scenes.spec import Body, Material, SceneSpec
 from multilight.scenes.still_life.placement import PlacementError, Standing
 from multilight.scenes.still_life.planes import level_pose, plane, upright_pose
 from multilight.scenes.still_life.sample import StillLifeSettings, sample_still_life
 from multilight.scenes.still_life.selection import Choice, Wanted, draw_by_category, draw_standing, unused
 from multilight.scenes.still_life.setting import Setting, flat_surface
-from multilight.scenes.streams import Rng, Streams, weighted_pick
 
 GROUND = 600.0
 """Side [m] of the ground: its edge lies a fifth of a degree below the horizon for an eye at one metre."""

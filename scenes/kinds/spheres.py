@@ -8,8 +8,8 @@ import numpy as np
 from multilight.scenes.cameras.pinhole import camera_from_fov, look_at
 from multilight.scenes.frozen import Rgb
 from multilight.scenes.poses import direction_from, matrix4, translation
+from multilight.scenes.random_streams import Rng, Streams
 from multilight.scenes.spec import Body, Camera, Material, Rectangle, SceneSpec, Sphere
-from multilight.scenes.streams import Rng, Streams
 
 FIELD_OF_VIEW = math.radians(36.0)
 GROUND_SIZE = 6.0

@@ -10,12 +10,12 @@ from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.colour import linear_from_hex
 from multilight.scenes.materials import painted_wall, sample_material
 from multilight.scenes.poses import translation
+from multilight.scenes.random_streams import Rng, Streams, pick, weighted_pick
 from multilight.scenes.spec import Body, Material, SceneSpec
 from multilight.scenes.still_life.planes import downward_pose, plane, upright_pose
 from multilight.scenes.still_life.receivers import choose_receiver, with_receiver
 from multilight.scenes.still_life.sample import StillLifeSettings, sample_still_life
 from multilight.scenes.still_life.setting import Setting, flat_surface, make_body
-from multilight.scenes.streams import Rng, Streams, pick, weighted_pick
 
 StudioKind = Literal["cyclorama", "roll", "table"]
 PROBABILITIES: dict[StudioKind, float] = {"cyclorama": 0.3, "roll": 0.3, "table": 0.4}

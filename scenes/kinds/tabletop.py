@@ -9,13 +9,13 @@ from multilight.scenes.geometry.support_surfaces import SupportSurface
 from multilight.scenes.materials import body_materials, metres_per_uv, pick_texture, textured
 from multilight.scenes.meshes import Mesh
 from multilight.scenes.poses import about_z
+from multilight.scenes.random_streams import Rng, Streams, weighted_pick
 from multilight.scenes.spec import Body, SceneSpec
 from multilight.scenes.still_life.receivers import ReceiverKind, choose_receiver, receiver_material, with_receiver
 from multilight.scenes.still_life.sample import StillLifeSettings, sample_still_life
 from multilight.scenes.still_life.selection import choose_table
 from multilight.scenes.still_life.setting import Setting, make_body
 from multilight.scenes.still_life.surroundings import PROBABILITIES, SurroundingKind, sample_surrounding
-from multilight.scenes.streams import Rng, Streams, weighted_pick
 
 _TOPS = frozenset({"wood", "marble", "linen", "fabric", "laminate", "stone", "terrazzo", "cork"})
 _BACKED = frozenset({"counter", "nightstand", "sideboard"})

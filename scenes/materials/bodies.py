@@ -11,8 +11,8 @@ from multilight.scenes.materials.classes import FINISHES, METALS, sample_materia
 from multilight.scenes.materials.emission import emission_of
 from multilight.scenes.materials.textured import pick_texture, textured
 from multilight.scenes.meshes import Mesh
+from multilight.scenes.random_streams import Rng, weighted_pick
 from multilight.scenes.spec import Material, Texture
-from multilight.scenes.streams import Rng, weighted_pick
 
 GLOW = "glow"
 """Name of the material of a part that is meant to shine: the mark by which rigs find it."""

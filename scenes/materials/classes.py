@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 from multilight.scenes.colour import linear_from_hex
 from multilight.scenes.frozen import Rgb
+from multilight.scenes.random_streams import Rng
 from multilight.scenes.spec import Material
-from multilight.scenes.streams import Rng
 
 METALS: dict[str, Rgb] = {
     "titanium": (0.542, 0.497, 0.449),

@@ -15,8 +15,8 @@ import numpy as np
 from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.meshes import Mesh, triangle_areas
+from multilight.scenes.random_streams import Rng, log_uniform, pick
 from multilight.scenes.spec import Texture
-from multilight.scenes.streams import Rng, log_uniform, pick
 
 
 @dataclass(frozen=True)

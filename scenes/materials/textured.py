@@ -7,8 +7,8 @@ from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.materials.classes import sample_material
 from multilight.scenes.meshes import MeshPart, triangle_areas
+from multilight.scenes.random_streams import Rng, pick
 from multilight.scenes.spec import Material, Texture
-from multilight.scenes.streams import Rng, pick
 
 _LAID = ("board", "floor", "parquet", "plank")
 

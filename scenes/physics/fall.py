@@ -18,7 +18,7 @@ from multilight.scenes.arrays import Float64
 from multilight.scenes.geometry.solids import Placed, Solid
 from multilight.scenes.meshes import stacked, triangle_crosses
 from multilight.scenes.poses import apply_pose, pose_of
-from multilight.scenes.streams import Rng
+from multilight.scenes.random_streams import Rng
 
 CELL = 0.004
 """Grid [m] of the height field."""

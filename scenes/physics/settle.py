@@ -10,7 +10,7 @@ from multilight.scenes.geometry.contact import support_of
 from multilight.scenes.geometry.overlap import boxes_meet, depth, gap, touching, way_out
 from multilight.scenes.geometry.solids import Placed, Solid
 from multilight.scenes.physics.fall import Region, fall
-from multilight.scenes.streams import Rng
+from multilight.scenes.random_streams import Rng
 
 DEEPEST = 8e-4
 """No two bodies that were settled lie deeper in each other than this [m]; `geometry.contact` allows a millimetre."""

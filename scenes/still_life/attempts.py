@@ -9,8 +9,8 @@ from multilight.scenes.cameras.paths import CameraSettings
 from multilight.scenes.cameras.trajectory import TrajectoryError
 from multilight.scenes.errors import MultilightError
 from multilight.scenes.frozen import Frozen
+from multilight.scenes.random_streams import Streams
 from multilight.scenes.still_life.placement import PlacementError
-from multilight.scenes.streams import Streams
 
 T = TypeVar("T")
 

@@ -5,8 +5,8 @@ from trimesh.collision import CollisionManager
 
 from multilight.scenes.arrays import Float64
 from multilight.scenes.poses import box_centre, pose_at
+from multilight.scenes.random_streams import Rng
 from multilight.scenes.still_life.placement import Arrangement, PlacementError, Stage, Standing
-from multilight.scenes.streams import Rng
 
 # How large pieces stand [m, rad].
 GAP = 0.05  # smallest distance between the convex hulls of a piece and of anything else

@@ -24,10 +24,10 @@ from multilight.scenes.names import free_name
 from multilight.scenes.physics.fall import Region
 from multilight.scenes.physics.settle import settle, stack
 from multilight.scenes.poses import apply_pose, pose_at, translation
+from multilight.scenes.random_streams import Rng, pick
 from multilight.scenes.spec import Body, Material
 from multilight.scenes.still_life.placement import PlacementError, Standing
 from multilight.scenes.still_life.setting import make_body
-from multilight.scenes.streams import Rng, pick
 
 PileKind = Literal["fruit_bowl", "books", "plates", "bowls", "cups", "toys"]
 KINDS: tuple[PileKind, ...] = get_args(PileKind)

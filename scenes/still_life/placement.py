@@ -15,7 +15,7 @@ from multilight.scenes.geometry.solids import solid_of
 from multilight.scenes.geometry.support_surfaces import SupportSurface, convex_hull, convex_polygon, stands
 from multilight.scenes.meshes import Mesh, once_a_mesh
 from multilight.scenes.poses import about_z, pose_of
-from multilight.scenes.streams import Rng
+from multilight.scenes.random_streams import Rng
 
 CONTACT = 6e-4
 """Vertices this close [m] to the lowest one carry the object: less than what counts as contact (`geometry.contact`)."""

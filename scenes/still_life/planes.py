@@ -5,8 +5,8 @@ from numpy.typing import ArrayLike
 
 from multilight.scenes.arrays import Float64
 from multilight.scenes.poses import matrix4, pose_of
+from multilight.scenes.random_streams import Rng
 from multilight.scenes.spec import Body, Material, Rectangle
-from multilight.scenes.streams import Rng
 
 Pair = tuple[float, float]
 

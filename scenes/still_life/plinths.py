@@ -8,9 +8,9 @@ from trimesh import Trimesh
 from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.materials import metres_per_uv, pick_texture, sample_material, textured
+from multilight.scenes.random_streams import Rng, pick, weighted_pick
 from multilight.scenes.spec import Material
 from multilight.scenes.still_life.placement import Standing, resting_poses
-from multilight.scenes.streams import Rng, pick, weighted_pick
 
 EDGE = 0.008
 """Smallest distance [m] of an object's footprint to the plinth's edge."""

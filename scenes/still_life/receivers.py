@@ -14,10 +14,10 @@ from multilight.scenes.colour import linear_from_hex
 from multilight.scenes.geometry.support_surfaces import SupportError, find_support
 from multilight.scenes.materials import METALS, body_materials, sample_material
 from multilight.scenes.poses import about_z, apply_pose, pose_at
+from multilight.scenes.random_streams import Rng, pick, weighted_pick
 from multilight.scenes.spec import Material
 from multilight.scenes.still_life.placement import PlacementError
 from multilight.scenes.still_life.setting import Setting, make_body, without_box
-from multilight.scenes.streams import Rng, pick, weighted_pick
 
 ReceiverKind = Literal[
     "none", "mirror top", "mirror plate", "chrome tray", "standing mirror", "glass top", "glass plate",

@@ -20,6 +20,7 @@ from multilight.scenes.geometry.rays import SceneRays, body_triangles, surface_p
 from multilight.scenes.materials import body_materials
 from multilight.scenes.names import free_name
 from multilight.scenes.poses import apply_pose, rotated_scene
+from multilight.scenes.random_streams import Rng, Streams
 from multilight.scenes.spec import Body, Role, SceneKind, SceneSpec
 from multilight.scenes.still_life.attempts import SceneSettings, first_success
 from multilight.scenes.still_life.large_pieces import place_large_pieces
@@ -27,7 +28,6 @@ from multilight.scenes.still_life.placement import arrange
 from multilight.scenes.still_life.plinths import Raised, raise_some
 from multilight.scenes.still_life.selection import Choice, Wanted, choose_objects
 from multilight.scenes.still_life.setting import Setting, make_body
-from multilight.scenes.streams import Rng, Streams
 
 ATTEMPTS = 12
 PILED = 4

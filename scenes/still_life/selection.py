@@ -9,9 +9,9 @@ from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.assets.library import AssetError, AssetLibrary
 from multilight.scenes.geometry.support_surfaces import SupportError, SupportSurface, find_support
 from multilight.scenes.meshes import Mesh
+from multilight.scenes.random_streams import Rng, pick
 from multilight.scenes.still_life.placement import PlacementError, Standing, resting_poses
 from multilight.scenes.still_life.setting import Setting
-from multilight.scenes.streams import Rng, pick
 
 SMALLEST, LARGEST = 0.02, 0.55
 """Longest side [m] of objects that may stand on a table."""

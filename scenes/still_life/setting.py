@@ -11,9 +11,9 @@ from multilight.scenes.geometry.support_surfaces import SupportSurface
 from multilight.scenes.materials import GLOW
 from multilight.scenes.meshes import Mesh
 from multilight.scenes.poses import matrix4
+from multilight.scenes.random_streams import Rng
 from multilight.scenes.spec import Body, Material, MeshAsset, Role, SceneSpec
 from multilight.scenes.still_life.placement import Stage, Standing
-from multilight.scenes.streams import Rng
 
 FOCUS_CLEARANCE = 0.34
 """Distance [m] from the edges of a surface beyond which a still life may be centred anywhere: half of its width."""

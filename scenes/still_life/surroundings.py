@@ -13,10 +13,10 @@ from multilight.scenes.assets.builtin.backdrops import STUDIO, SWEEP_ID
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.colour import linear_from_hex
 from multilight.scenes.materials import painted_wall, pick_texture, textured
+from multilight.scenes.random_streams import Rng
 from multilight.scenes.spec import Body, Material
 from multilight.scenes.still_life.planes import level_pose, plane, skirting, upright_pose
 from multilight.scenes.still_life.setting import make_body
-from multilight.scenes.streams import Rng
 
 SurroundingKind = Literal["ground", "corner", "backdrop"]
 PROBABILITIES: dict[SurroundingKind, float] = {"ground": 0.2, "corner": 0.5, "backdrop": 0.3}

@@ -11,7 +11,7 @@ import pytest
 
 from multilight.datagen.cli import main
 from multilight.datagen.errors import StoreError
-from multilight.datagen.storage.source import open_dataset
+from multilight.datagen.storage.open_dataset import open_dataset
 from tests.datagen.chain import rewrite_json
 from tests.datagen.servers import in_memory
 

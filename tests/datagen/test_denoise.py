@@ -22,7 +22,7 @@ from multilight.lights.rigs.sample import SPHERES_KINDS, sample_rig
 from multilight.scenes.arrays import Float32, Mask
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.kinds.spheres import sample_spheres
-from multilight.scenes.streams import Streams
+from multilight.scenes.random_streams import Streams
 
 Stacks = dict[str, LayerStack]
 

@@ -19,7 +19,7 @@ from multilight.datagen.backends.choose import pick_renderer, resolve_renderer
 from multilight.datagen.backends.machine import llvm
 from multilight.datagen.backends.machine.fetch_llvm import fetch_llvm, known_packages
 from multilight.datagen.backends.machine.llvm import Library
-from multilight.datagen.backends.machine.variants import Choice, Gpu, choose, choose_variant, find_gpu, try_out
+from multilight.datagen.backends.machine.mitsuba_variant import Choice, Gpu, choose, choose_variant, find_gpu, try_out
 from multilight.datagen.backends.protocol import BackendError
 from multilight.datagen.cli import main
 from multilight.datagen.commands import doctor
@@ -153,29 +153,31 @@ def test_the_chosen_variant_renders(usable: Library) -> None:
 
 LOADED = """
 import sys
-from multilight.datagen.backends.machine import variants
+from multilight.datagen.backends.machine import mitsuba_variant
 assert not {"mitsuba", "drjit"} & set(sys.modules)
 choice = CHOICE
-variants.prepare_environment(choice)
+mitsuba_variant.prepare_environment(choice)
 import mitsuba
 mitsuba.set_variant(choice.variant or 'scalar_rgb')
 mitsuba.render(mitsuba.load_dict(mitsuba.cornell_box()), spp=1)
-variants.prepare_environment(choice)
+mitsuba_variant.prepare_environment(choice)
 print(sorted({line.split()[-1] for line in open("/proc/self/maps") if "libLLVM" in line}))
 """
 
 
 def test_mitsuba_loads_the_chosen_library_and_no_other(usable: Library, old: Path) -> None:
-    code = LOADED.replace("CHOICE", "variants.choose(variants.Gpu(fault='none'), variants.llvm.find_libraries)")
+    code = LOADED.replace(
+        "CHOICE", "mitsuba_variant.choose(mitsuba_variant.Gpu(fault='none'), mitsuba_variant.llvm.find_libraries)"
+    )
     assert run_python(code, **{llvm.PATH_VARIABLE: str(old)}).strip() == str([str(usable.path)])
 
 
 def test_without_a_usable_library_none_is_loaded_at_all() -> None:
-    assert run_python(LOADED.replace("CHOICE", "variants.Choice(None, '')")).strip() == "[]"
+    assert run_python(LOADED.replace("CHOICE", "mitsuba_variant.Choice(None, '')")).strip() == "[]"
 
 
 def test_too_late_is_refused() -> None:
-    code = "import drjit\n" + LOADED.replace("CHOICE", "variants.Choice(None, '')").replace("assert", "#")
+    code = "import drjit\n" + LOADED.replace("CHOICE", "mitsuba_variant.Choice(None, '')").replace("assert", "#")
     with pytest.raises(AssertionError, match="imported before its libLLVM was chosen"):
         run_python(code)
 

@@ -13,11 +13,11 @@ from multilight.datagen.cli import main
 from multilight.datagen.production import finishing
 from multilight.datagen.production.finishing import Survey, finish, survey
 from multilight.datagen.storage import blocks
+from multilight.datagen.storage.address import find_place
 from multilight.datagen.storage.index import ADDED, index_bytes, index_row
-from multilight.datagen.storage.place import find_place
-from multilight.datagen.storage.source import open_dataset
+from multilight.datagen.storage.open_dataset import open_dataset
+from multilight.datagen.storage.open_training import open_training
 from multilight.datagen.storage.store import file_sha256, read_dataset, scene_dir, scene_folder
-from multilight.datagen.storage.training_source import open_training
 from multilight.datagen.verification.dataset import check_files, verify_dataset
 from tests.datagen.chain import rewrite_json
 from tests.datagen.servers import http_server, in_memory
@@ -194,7 +194,7 @@ def test_a_sample_of_scenes_is_verified(many: Path) -> None:
 
 def test_what_can_be_seen_is_known_from_the_index(spheres_dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     stated = open_training(spheres_dataset).visible.sort("scene", "view", "object")
-    monkeypatch.setattr("multilight.datagen.storage.training_source._stated", None)
+    monkeypatch.setattr("multilight.datagen.storage.open_training._stated", None)
     source = open_dataset(spheres_dataset)
     measured = [
         (record.index, number, name, float(alpha.sum(dtype="float64")))

@@ -24,8 +24,8 @@ from multilight.datagen.production.running import Work
 from multilight.datagen.production.scene import SceneMaker, make_scene
 from multilight.datagen.production.worker import report_of
 from multilight.datagen.storage.index import index_bytes, parse_index
+from multilight.datagen.storage.open_dataset import open_dataset
 from multilight.datagen.storage.records import SceneRecord
-from multilight.datagen.storage.source import open_dataset
 from multilight.datagen.storage.store import file_sha256, read_scene, read_view, write_text
 from multilight.datagen.verification.dataset import verify_dataset
 from multilight.scenes.assets.library import AssetLibrary

@@ -13,7 +13,7 @@ from multilight.datagen.cli import main
 from multilight.datagen.errors import StoreError, UserError
 from multilight.datagen.files.locks import locked
 from multilight.datagen.storage.manifest import JOURNAL, MANIFEST, read_manifest, remedy
-from multilight.datagen.storage.training_source import open_training
+from multilight.datagen.storage.open_training import open_training
 from multilight.datagen.verification.copies import copy_at, verify_copy
 from tests.datagen.chain import chain
 from tests.datagen.servers import in_memory

@@ -14,7 +14,7 @@ import multilight
 from multilight.datagen.cli import main
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.store import ViewData
-from multilight.datagen.tuples.conditions import EXAMPLE
+from multilight.datagen.tuples.condition_files import EXAMPLE
 from multilight.lights.describe import describe
 from multilight.lights.spec import AreaLight, EmissiveLight, Light, LightingCondition, SunLight
 from multilight.scenes.poses import matrix4

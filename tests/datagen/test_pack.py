@@ -15,12 +15,12 @@ from multilight.datagen.cli import main
 from multilight.datagen.errors import StoreError, UserError
 from multilight.datagen.report import silent
 from multilight.datagen.storage.manifest import read_manifest
+from multilight.datagen.storage.open_dataset import open_dataset
+from multilight.datagen.storage.open_training import open_training, packed_file
 from multilight.datagen.storage.pack import pack_dataset
 from multilight.datagen.storage.packed import SAME, pack_view, read_packed, write_packed
 from multilight.datagen.storage.records import SceneRecord
-from multilight.datagen.storage.source import open_dataset
 from multilight.datagen.storage.store import ViewData, read_scene, read_view, scene_dir, write_view
-from multilight.datagen.storage.training_source import open_training, packed_file
 from multilight.model.data import MultiLightDataset, SampleSettings
 from multilight.scenes.colour import luminance
 from tests.datagen.chain import chain

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from multilight.datagen.commands import output
-from multilight.datagen.commands.make import summary
+from multilight.datagen.commands.dataset import summary
 from multilight.datagen.config.dataset import DatasetConfig
 from multilight.datagen.production.dataset import Outcome
 from multilight.datagen.production.running import Plan

@@ -10,7 +10,7 @@ import pytest
 from multilight.datagen.cli import main
 from multilight.datagen.errors import UserError
 from multilight.datagen.storage.index import COLUMNS, index_row, index_table
-from multilight.datagen.storage.source import open_dataset, select
+from multilight.datagen.storage.open_dataset import open_dataset, select
 from multilight.lights.photometry.angular_size import angular_diameter
 from multilight.lights.spec import AreaLight, EmissiveLight, EnvironmentLight, PointLight, SunLight
 from multilight.scenes.cameras.pinhole import look_at

@@ -15,7 +15,7 @@ from PIL import Image
 
 from multilight.datagen.cli import main
 from multilight.datagen.errors import StoreError, UserError
-from multilight.datagen.storage.source import DatasetSource, open_dataset
+from multilight.datagen.storage.open_dataset import DatasetSource, open_dataset
 from multilight.datagen.storage.store import ViewData
 from tests.datagen.servers import http_server, in_memory, s3_server
 
@@ -98,7 +98,7 @@ def test_an_opened_source_works_in_other_processes(spheres_dataset: Path) -> Non
 def test_an_opened_source_survives_a_fork(spheres_dataset: Path) -> None:
     """In a process of its own: forking this one, with all its libraries' threads, may hang."""
     code = (
-        "import os, sys; from multilight.datagen.storage.source import open_dataset\n"
+        "import os, sys; from multilight.datagen.storage.open_dataset import open_dataset\n"
         "source = open_dataset(sys.argv[1]); here = float(source.view(source.scene(0), 0).combined.sum())\n"
         "if os.fork() == 0: os._exit(0 if float(source.view(source.scene(0), 0).combined.sum()) == here else 1)\n"
         "sys.exit(os.waitstatus_to_exitcode(os.wait()[1]))"

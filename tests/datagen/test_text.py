@@ -24,8 +24,8 @@ from multilight.datagen.stats.duplicates import Pair
 from multilight.datagen.stats.page import print_summary, write_page
 from multilight.datagen.stats.plots import bar_plot
 from multilight.datagen.stats.quantities import Coverage, Quantity
+from multilight.datagen.storage.open_dataset import open_dataset
 from multilight.datagen.storage.records import AssetCredit
-from multilight.datagen.storage.source import open_dataset
 from multilight.datagen.storage.store import file_sha256
 from multilight.datagen.text import markdown, plain, terminal
 from multilight.model.evaluation.page import write_evaluation

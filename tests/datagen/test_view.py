@@ -21,11 +21,11 @@ import pytest
 from PIL import Image
 
 from multilight.datagen.cli import main
+from multilight.datagen.storage.open_dataset import DatasetSource, open_dataset
 from multilight.datagen.storage.records import SceneRecord
-from multilight.datagen.storage.source import DatasetSource, open_dataset
 from multilight.datagen.storage.store import ViewData
 from multilight.datagen.tuples import compose, pictures
-from multilight.datagen.tuples.conditions import metered
+from multilight.datagen.tuples.condition_files import metered
 from multilight.datagen.view.server import PAGE, SITE, Server
 from multilight.lights.display.tonemap import to_display
 from multilight.lights.photometry.colour import temperature_to_rgb

@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from multilight.lights.conditions import EXPOSURE, random_condition, sample_conditions
 from multilight.lights.photometry.colour import temperature_of, temperature_to_rgb
 from multilight.lights.photometry.irradiance import LightMeter, map_directions
 from multilight.lights.rigs.balance import FAINTEST
@@ -14,6 +13,7 @@ from multilight.lights.rigs.design import RATIOS, SIZES, RigDesign, rig_design
 from multilight.lights.rigs.measure import LightMeasure, measure_light
 from multilight.lights.rigs.natural import natural_rig
 from multilight.lights.rigs.sample import ALL_KINDS, SPHERES_KINDS, sample_rig
+from multilight.lights.sample_conditions import EXPOSURE, random_condition, sample_conditions
 from multilight.lights.spec import (
     AreaLight,
     EmissiveLight,
@@ -31,10 +31,10 @@ from multilight.scenes.frozen import triple
 from multilight.scenes.kinds.spheres import sample_spheres
 from multilight.scenes.kinds.tabletop import sample_tabletop
 from multilight.scenes.poses import matrix4
+from multilight.scenes.random_streams import Streams
 from multilight.scenes.spec import SceneSpec
 from multilight.scenes.still_life.sample import StillLifeSettings
 from multilight.scenes.still_life.setting import emissive_candidate
-from multilight.scenes.streams import Streams
 
 COUNT = 14
 

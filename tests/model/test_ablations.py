@@ -14,7 +14,7 @@ import torch
 
 from multilight.datagen.config.loading import joined
 from multilight.datagen.errors import UserError
-from multilight.datagen.storage.source import open_dataset
+from multilight.datagen.storage.open_dataset import open_dataset
 from multilight.model.ablations.run import (
     AVERAGED,
     CARRIED,

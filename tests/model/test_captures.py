@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from multilight.datagen.errors import UserError
-from multilight.datagen.storage.source import open_dataset
+from multilight.datagen.storage.open_dataset import open_dataset
 from multilight.model.captures.capture import Capture, check_alignment, scaled_camera
 from multilight.model.captures.colmap import find_poses
 from multilight.model.captures.depths import aligned_depth, depth_of_gaussians, with_depth

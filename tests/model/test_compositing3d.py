@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from multilight.datagen.storage.source import open_dataset
+from multilight.datagen.storage.open_dataset import open_dataset
 from multilight.model.configs.stage3d import Order, SceneNetworkConfig
 from multilight.model.gaussians.splat_scene import SplatScene, map_order, splat_scene
 from multilight.model.networks.compositing3d import Compositing3D, detailed, harmonize_scene

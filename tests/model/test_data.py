@@ -16,9 +16,9 @@ from torch.utils.data import DataLoader, DistributedSampler
 
 from multilight.datagen.errors import StoreError, UserError
 from multilight.datagen.report import silent
+from multilight.datagen.storage.address import find_place
+from multilight.datagen.storage.open_dataset import open_dataset
 from multilight.datagen.storage.pack import pack_dataset
-from multilight.datagen.storage.place import find_place
-from multilight.datagen.storage.source import open_dataset
 from multilight.datagen.tuples import compose
 from multilight.lights.display.tonemap import tone_curve
 from multilight.lights.spec import (

@@ -12,8 +12,8 @@ from multilight.datagen.cli import main
 from multilight.datagen.errors import UserError
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.store import read_scene, scene_dir
-from multilight.lights.conditions import WHITE
 from multilight.lights.display.tonemap import tone_curve
+from multilight.lights.sample_conditions import WHITE
 from multilight.lights.spec import AreaLight, EmissiveLight, Light, LightRig, PointLight, SunLight
 from multilight.model.cli import COMMANDS
 from multilight.model.configs.stage2d import NetworkConfig
@@ -69,7 +69,7 @@ def test_a_split_without_scenes_is_told(spheres_dataset: Path) -> None:
 
 def test_light_fractions_are_those_of_the_target(spheres_dataset: Path) -> None:
     """The gains that the subsets are judged by must be those that lit the target."""
-    from multilight.datagen.storage.training_source import open_training
+    from multilight.datagen.storage.open_training import open_training
     from multilight.model.data.dataset import MultiLightDataset
     from multilight.model.data.lighting import light_fractions, lit_conditions
     from multilight.model.data.settings import SampleSettings

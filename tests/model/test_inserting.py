@@ -18,7 +18,7 @@ from trimesh.visual.material import PBRMaterial
 from multilight.datagen.cli import main
 from multilight.datagen.errors import UserError
 from multilight.datagen.report import silent
-from multilight.datagen.storage.source import open_dataset
+from multilight.datagen.storage.open_dataset import open_dataset
 from multilight.model.captures.assets import load_asset
 from multilight.model.captures.capture import Capture
 from multilight.model.captures.confidence import repaired

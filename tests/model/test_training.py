@@ -18,7 +18,7 @@ from multilight.datagen.cli import main
 from multilight.datagen.config.loading import keys_of, read_values, validated
 from multilight.datagen.errors import UserError
 from multilight.model.cli import COMMANDS
-from multilight.model.configs.ready import CONFIGS, weights_config
+from multilight.model.configs.ready_made import CONFIGS, weights_config
 from multilight.model.configs.stage2d import NETWORKS, LossConfig, NetworkConfig, TrainingConfig
 from multilight.model.configs.stage3d import SceneTrainingConfig
 from multilight.model.networks.checkpoint import load_network, newest_checkpoint

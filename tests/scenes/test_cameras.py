@@ -38,9 +38,9 @@ from multilight.scenes.geometry.rays import SceneRays, body_triangles, surface_p
 from multilight.scenes.kinds.spheres import sample_spheres
 from multilight.scenes.kinds.tabletop import sample_tabletop
 from multilight.scenes.poses import matrix4
+from multilight.scenes.random_streams import Streams
 from multilight.scenes.spec import Body, Camera, Material, SceneSpec, Sphere
 from multilight.scenes.still_life.sample import StillLifeSettings
-from multilight.scenes.streams import Streams
 
 Depths = tuple[list[np.ndarray], tuple[Camera, ...]]
 StillLifes = tuple[str, list[SceneSpec]]

@@ -15,9 +15,9 @@ from multilight.scenes.geometry.solids import Placed, Solid
 from multilight.scenes.kinds.tabletop import sample_tabletop
 from multilight.scenes.meshes import Mesh
 from multilight.scenes.poses import matrix4
+from multilight.scenes.random_streams import Streams
 from multilight.scenes.spec import Body, Geometry, Material, MeshAsset, Rectangle, Role, Sphere
 from multilight.scenes.still_life.sample import StillLifeSettings
-from multilight.scenes.streams import Streams
 
 
 def solid(mesh: Trimesh) -> Solid:

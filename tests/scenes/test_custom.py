@@ -25,9 +25,9 @@ from multilight.scenes.colour import LUMINOUS_EFFICACY
 from multilight.scenes.geometry.contact import check_contacts
 from multilight.scenes.kinds.custom import background_bodies, find_places, sample_custom
 from multilight.scenes.poses import matrix4
+from multilight.scenes.random_streams import Streams
 from multilight.scenes.spec import Camera, SceneSpec
 from multilight.scenes.still_life.sample import StillLifeSettings
-from multilight.scenes.streams import Streams
 from tests.scenes.custom_scenes import DEPTH, HEIGHT, LENGTH, TABLE, blender, room, write_glb
 
 NIT = 1 / LUMINOUS_EFFICACY

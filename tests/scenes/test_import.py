@@ -16,8 +16,8 @@ from PIL import Image
 from multilight.scenes.assets.cache import tell_thrown_away
 from multilight.scenes.assets.check import check_assets
 from multilight.scenes.assets.environments import read_environment
-from multilight.scenes.assets.formats.intake import Intake
-from multilight.scenes.assets.formats.scene_file import ARRAYS, RECORD
+from multilight.scenes.assets.formats.import_file import Intake
+from multilight.scenes.assets.formats.imported import ARRAYS, RECORD
 from multilight.scenes.assets.info import AssetError
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.meshes import MeshPart, triangle_areas
@@ -248,7 +248,7 @@ def test_what_ends_the_converter_is_named_and_the_rest_goes_on(tmp_path: Path, m
     """Of three files the second makes the process end."""
     for name, case in (("a", "more/e07_rough16"), ("b", "more/e13_black_plastic"), ("c", "models/a09_sparse")):
         shutil.copy(CASES / f"{case}.glb", tmp_path / f"{name}.glb")
-    crash = "import os\nfrom multilight.scenes.assets.formats import claims\nread = claims.check_model\n"
+    crash = "import os\nfrom multilight.scenes.assets.formats import precheck\nread = precheck.check_model\n"
     crash += "claims.check_model = lambda p, f: os.abort() if p.name == 'b.glb' else read(p, f)\n"
     (tmp_path / "here").mkdir()
     (tmp_path / "here" / "sitecustomize.py").write_text(crash)

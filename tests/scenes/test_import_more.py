@@ -11,8 +11,8 @@ from PIL import Image
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdShade, UsdUtils
 
 from multilight.scenes.assets.environments import read_environment
-from multilight.scenes.assets.formats.intake import Intake
-from multilight.scenes.assets.formats.scene_file import Imported
+from multilight.scenes.assets.formats.import_file import Intake
+from multilight.scenes.assets.formats.imported import Imported
 from multilight.scenes.assets.formats.usd.lights import upright
 from multilight.scenes.assets.info import AssetError
 from multilight.scenes.assets.library import AssetLibrary

@@ -8,9 +8,9 @@ from trimesh.collision import CollisionManager
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.geometry.rays import SceneRays, body_triangles
 from multilight.scenes.kinds.outdoor import GROUND, INSERTABLE, LONGEST, sample_outdoor
+from multilight.scenes.random_streams import Streams
 from multilight.scenes.spec import Rectangle, SceneSpec
 from multilight.scenes.still_life.sample import StillLifeSettings
-from multilight.scenes.streams import Streams
 
 COUNT = 4
 

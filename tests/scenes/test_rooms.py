@@ -19,8 +19,8 @@ from multilight.scenes.kinds.rooms.sample import RoomSettings, RoomWeights, samp
 from multilight.scenes.kinds.rooms.shelves import find_shelves
 from multilight.scenes.materials import GLOW
 from multilight.scenes.meshes import Mesh, MeshPart
+from multilight.scenes.random_streams import Streams
 from multilight.scenes.spec import Body, Material, MeshAsset, SceneSpec
-from multilight.scenes.streams import Streams
 
 BUILDING = frozenset({"window", "door", "curtains", "rug"})
 """Categories that belong to the building, or lie flat: they carry, and need no check of what carries them."""

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from multilight.datagen.backends.choose import open_backend
-from multilight.datagen.backends.machine.variants import choose_variant
+from multilight.datagen.backends.machine.mitsuba_variant import choose_variant
 from multilight.datagen.backends.protocol import RenderJob, RenderSettings
 from multilight.datagen.config.dataset import load_config
 from multilight.datagen.production.denoise import denoise_all
@@ -19,7 +19,7 @@ from multilight.datagen.production.scene import sample_scene
 from multilight.lights.display.tonemap import meter_ev, to_display
 from multilight.scenes.arrays import Float32
 from multilight.scenes.assets.library import AssetLibrary
-from multilight.scenes.streams import Streams
+from multilight.scenes.random_streams import Streams
 from tests import ROOT
 
 pytestmark = [

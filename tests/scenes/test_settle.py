@@ -16,11 +16,11 @@ from multilight.scenes.kinds.tabletop import sample_tabletop
 from multilight.scenes.physics.fall import Region, convex_pieces, height_field
 from multilight.scenes.physics.settle import lowered, settle, stack
 from multilight.scenes.poses import matrix4
+from multilight.scenes.random_streams import Streams
 from multilight.scenes.spec import Body, Material, Rectangle
 from multilight.scenes.still_life.piles import KINDS, Pile, PileKind, sample_pile
 from multilight.scenes.still_life.placement import PlacementError
 from multilight.scenes.still_life.sample import StillLifeSettings
-from multilight.scenes.streams import Streams
 from tests.scenes.test_contact import BALL, placed, solid
 
 GROUND = placed(solid(box((2, 2, 0.1))), 0, 0, -0.05)

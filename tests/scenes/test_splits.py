@@ -22,8 +22,8 @@ from multilight.scenes.assets.splits import (
     in_split,
     scene_split,
 )
+from multilight.scenes.random_streams import Streams
 from multilight.scenes.still_life.selection import INSERTABLE, LARGEST, SMALL, SMALLEST, TALL, THIN
-from multilight.scenes.streams import Streams
 
 SCENES = 32
 

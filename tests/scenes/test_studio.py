@@ -9,9 +9,9 @@ from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.cameras.pinhole import SENSOR_MM
 from multilight.scenes.geometry.rays import SceneRays, body_triangles
 from multilight.scenes.kinds.studio import LENS_MM, sample_studio
+from multilight.scenes.random_streams import Streams
 from multilight.scenes.spec import SceneSpec
 from multilight.scenes.still_life.sample import StillLifeSettings
-from multilight.scenes.streams import Streams
 
 COUNT = 4
 

@@ -16,12 +16,12 @@ from multilight.scenes.geometry.support_surfaces import SupportError, find_suppo
 from multilight.scenes.kinds.tabletop import sample_tabletop
 from multilight.scenes.materials import METALS, body_materials, metres_per_uv
 from multilight.scenes.meshes import Mesh, MeshPart
+from multilight.scenes.random_streams import Streams
 from multilight.scenes.spec import Body, Material, SceneSpec
 from multilight.scenes.still_life.placement import resting_poses
 from multilight.scenes.still_life.sample import StillLifeSettings
 from multilight.scenes.still_life.selection import INSERTABLE
 from multilight.scenes.still_life.setting import emissive_candidate
-from multilight.scenes.streams import Streams
 
 COUNT = 20
 
@@ -156,7 +156,8 @@ def test_cameras_stand_free_and_come_closer(scenes: list[SceneSpec], library: As
 
 def test_same_seed_same_scene_in_another_process(library: AssetLibrary, scenes: list[SceneSpec]) -> None:
     code = (
-        "from multilight.scenes.assets.library import AssetLibrary; from multilight.scenes.streams import Streams\n"
+        "from multilight.scenes.assets.library import AssetLibrary\n"
+        "from multilight.scenes.random_streams import Streams\n"
         "from multilight.scenes.kinds.tabletop import sample_tabletop\n"
         "from multilight.scenes.still_life.sample import StillLifeSettings\n"
         "s = StillLifeSettings(width=96, height=64, views=8)\n"

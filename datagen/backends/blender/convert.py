@@ -15,8 +15,8 @@ from pathlib import Path
 
 from multilight.scenes.assets.cache import file_digest
 from multilight.scenes.assets.environments import keep_map, read_environment, read_hdr
-from multilight.scenes.assets.formats.claims import check_model
-from multilight.scenes.assets.formats.scene_file import RECORD, FoundLight, Imported, Record, keep_picture, save_import
+from multilight.scenes.assets.formats.imported import RECORD, FoundLight, Imported, Record, keep_picture, save_import
+from multilight.scenes.assets.formats.precheck import check_model
 from multilight.scenes.assets.info import AssetError
 from multilight.scenes.errors import MultilightError
 from multilight.scenes.files.limits import read_bytes

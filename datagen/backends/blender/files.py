@@ -15,11 +15,9 @@ from multilight.datagen.backends.blender.bake import Shape, bake
 from multilight.datagen.backends.blender.surfaces import Finished, ShaderReader, tidy
 from multilight.datagen.backends.blender.worlds import read_world
 from multilight.scenes.arrays import Float64, Int64
-from multilight.scenes.assets.formats.claims import check_triangles
 from multilight.scenes.assets.formats.cleaning import RawPart, tinted
 from multilight.scenes.assets.formats.coordinates import laid
-from multilight.scenes.assets.formats.obj import staged
-from multilight.scenes.assets.formats.scene_file import (
+from multilight.scenes.assets.formats.imported import (
     EMISSION_NITS,
     Emission,
     FoundLight,
@@ -28,9 +26,11 @@ from multilight.scenes.assets.formats.scene_file import (
     Node,
     Note,
 )
+from multilight.scenes.assets.formats.obj import staged
+from multilight.scenes.assets.formats.precheck import check_triangles
 from multilight.scenes.assets.info import AssetError
 from multilight.scenes.colour import LUMINOUS_EFFICACY
-from multilight.scenes.files.inside import OutsideError, held
+from multilight.scenes.files.confined import OutsideError, held
 from multilight.scenes.files.limits import MOST_NODES, LimitError
 from multilight.scenes.frozen import Rgb
 from multilight.scenes.poses import apply_pose, matrix4

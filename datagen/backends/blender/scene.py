@@ -9,7 +9,7 @@ from mathutils import Matrix
 from multilight.datagen.backends.blender import lights as blender_lights
 from multilight.datagen.backends.blender import meshes
 from multilight.datagen.backends.blender.materials import Materials
-from multilight.datagen.backends.parts import body_parts, glowing_parts
+from multilight.datagen.backends.body_parts import body_parts, glowing_parts
 from multilight.lights.spec import EmissiveLight, EnvironmentLight, LightRig
 from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.library import AssetLibrary

@@ -13,9 +13,9 @@ from multilight.datagen.backends.blender.trees import Feed, Groups, UnreadError,
 from multilight.scenes.arrays import Float32
 from multilight.scenes.assets.derived_maps import slopes_to_normals
 from multilight.scenes.assets.formats.coordinates import MESH, Place, common
+from multilight.scenes.assets.formats.imported import KeepImage, Note
 from multilight.scenes.assets.formats.mtl import part_name
 from multilight.scenes.assets.formats.pictures import as_eight_bit
-from multilight.scenes.assets.formats.scene_file import KeepImage, Note
 from multilight.scenes.assets.info import AssetError
 from multilight.scenes.colour import LUMINANCE_WEIGHTS, srgb_decode, srgb_encode
 from multilight.scenes.frozen import Rgb

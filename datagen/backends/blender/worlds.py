@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 
 from multilight.scenes.assets.environments import keep_map
-from multilight.scenes.assets.formats.scene_file import FoundLight
+from multilight.scenes.assets.formats.imported import FoundLight
 from multilight.scenes.assets.info import AssetError
 from multilight.scenes.colour import srgb_decode
 

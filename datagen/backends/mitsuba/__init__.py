@@ -1,6 +1,6 @@
 """Mitsuba 3 as a backend: the only room for `mitsuba` and `drjit`."""
 
-from multilight.datagen.backends.machine.variants import choose_variant, prepare_environment
+from multilight.datagen.backends.machine.mitsuba_variant import choose_variant, prepare_environment
 
 CHOICE = choose_variant()
 if CHOICE.variant is None:

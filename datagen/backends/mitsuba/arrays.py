@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from multilight.datagen.backends.body_parts import body_parts, glowing_parts
 from multilight.datagen.backends.mitsuba.device import aligned
-from multilight.datagen.backends.parts import body_parts, glowing_parts
 from multilight.datagen.backends.protocol import BackendError
 from multilight.lights.spec import EmissiveLight, LightRig
 from multilight.scenes.arrays import Float32, Float64, Mask, UInt32

@@ -33,7 +33,7 @@ from multilight.scenes.arrays import Float32
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.spec import SceneSpec
 
-LANES = 1 << (22 if mi.variant().startswith("cuda") else 20)
+LANES = 1 << (22 if mi.variant().startswith("cuda") else 19)
 """Samples traced at once: enough to keep a GPU busy, few enough for memory. No bit depends on it."""
 FILM, LENS, BEFORE_PATHS = 8, 9, 1000
 """Dimensions of the camera's random numbers."""

@@ -11,13 +11,13 @@ from multilight.datagen.export.images import depth_mm, png, to_byte
 from multilight.datagen.report import Report
 from multilight.datagen.storage.copies import making
 from multilight.datagen.storage.manifest import Settings
+from multilight.datagen.storage.open_dataset import DatasetSource
 from multilight.datagen.storage.records import SceneRecord
-from multilight.datagen.storage.source import DatasetSource
 from multilight.datagen.tuples import compose
 from multilight.lights.display.tonemap import to_display
 from multilight.lights.spec import LightingCondition
 from multilight.scenes.arrays import Float32, UInt8
-from multilight.scenes.streams import Streams
+from multilight.scenes.random_streams import Streams
 
 
 @dataclass(frozen=True)

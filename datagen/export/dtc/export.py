@@ -18,8 +18,8 @@ from multilight.datagen.export.dtc.scene import Frame
 from multilight.datagen.export.dtc.work import Job, export_scene
 from multilight.datagen.report import Report
 from multilight.datagen.storage.copies import Copy, in_processes, making
+from multilight.datagen.storage.open_dataset import open_dataset
 from multilight.datagen.storage.records import SceneRecord
-from multilight.datagen.storage.source import open_dataset
 from multilight.datagen.storage.store import write_text
 from multilight.scenes.gaussians.curves import fold
 

@@ -9,8 +9,8 @@ from PIL import Image
 
 from multilight.datagen.errors import UserError
 from multilight.datagen.export.images import to_byte
+from multilight.datagen.storage.open_dataset import DatasetSource
 from multilight.datagen.storage.records import SceneRecord
-from multilight.datagen.storage.source import DatasetSource
 from multilight.datagen.tuples import compose
 from multilight.lights.display.reinhard import Metering, ViewMetering, join, meter_view
 from multilight.lights.spec import LightingCondition

@@ -15,14 +15,14 @@ from multilight.datagen.export.dtc.request import DtcExport
 from multilight.datagen.export.dtc.scene import Frame, Geometry, Lighting, survey
 from multilight.datagen.storage.copies import files_of, whole_folder
 from multilight.datagen.storage.manifest import FileEntry
+from multilight.datagen.storage.open_dataset import DatasetSource, open_dataset
 from multilight.datagen.storage.records import SceneRecord
-from multilight.datagen.storage.source import DatasetSource, open_dataset
 from multilight.datagen.tuples import compose
 from multilight.lights.display.reinhard import tone_map
 from multilight.lights.spec import LightingCondition
 from multilight.scenes.arrays import Float32, UInt8
 from multilight.scenes.gaussians.from_views import SceneGaussians
-from multilight.scenes.streams import Streams
+from multilight.scenes.random_streams import Streams
 
 
 @dataclass(frozen=True)

@@ -21,10 +21,10 @@ from multilight.datagen.export.luxremix.meta import Passes, draw_passes, metadat
 from multilight.datagen.export.tars import TarShards
 from multilight.datagen.report import Report
 from multilight.datagen.storage.copies import making
+from multilight.datagen.storage.object_variants import ALL
+from multilight.datagen.storage.open_dataset import DatasetSource
 from multilight.datagen.storage.records import SceneRecord
-from multilight.datagen.storage.source import DatasetSource
 from multilight.datagen.storage.store import ViewData, in_half, write_exr
-from multilight.datagen.storage.variants import ALL
 from multilight.lights.display.tonemap import to_display
 from multilight.lights.relight import mix
 from multilight.lights.spec import EmissiveLight

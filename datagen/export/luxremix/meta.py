@@ -9,8 +9,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from multilight.datagen.storage.records import SceneRecord
-from multilight.lights.conditions import random_condition
 from multilight.lights.relight import gain_matrix
+from multilight.lights.sample_conditions import random_condition
 from multilight.lights.spec import (
     AreaLight,
     EmissiveLight,
@@ -23,8 +23,8 @@ from multilight.lights.spec import (
     SunLight,
 )
 from multilight.scenes.arrays import Float64
+from multilight.scenes.random_streams import Streams
 from multilight.scenes.spec import Camera
-from multilight.scenes.streams import Streams
 
 MIXES, BACKGROUND = 4, 1000
 SUN_DISTANCE = 1000.0  # metres at which a sun is said to stand

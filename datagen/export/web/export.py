@@ -5,11 +5,11 @@ from pathlib import Path
 from multilight.datagen.errors import UserError
 from multilight.datagen.report import Report
 from multilight.datagen.storage.copies import making
-from multilight.datagen.storage.source import DatasetSource
+from multilight.datagen.storage.open_dataset import DatasetSource
 from multilight.datagen.storage.store import scene_folder
 from multilight.datagen.view.content import PREVIEW, ViewFiles, dataset_json, preview, scene_json, view_folder
 from multilight.datagen.view.server import PAGE, SITE
-from multilight.scenes.files.whole import write_whole
+from multilight.scenes.files.atomic import write_whole
 
 SQUEEZED = 6
 """Level of zlib; 9 is not smaller."""

@@ -16,14 +16,14 @@ from multilight.datagen.export.tars import TarShards
 from multilight.datagen.export.webdataset.card import Shards, write_card
 from multilight.datagen.report import Report
 from multilight.datagen.storage.copies import making
+from multilight.datagen.storage.open_dataset import DatasetSource
 from multilight.datagen.storage.records import AssetCredit, SceneRecord
-from multilight.datagen.storage.source import DatasetSource
 from multilight.datagen.storage.store import ViewData
 from multilight.datagen.tuples import compose
 from multilight.lights.display.tonemap import to_display
 from multilight.lights.relight import gain_matrix
 from multilight.lights.spec import LightingCondition
-from multilight.scenes.streams import Streams
+from multilight.scenes.random_streams import Streams
 
 LEAST_PIXELS = 16
 """Pixels that an object must cover more than half of, or the view makes no sample of it."""

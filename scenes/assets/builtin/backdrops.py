@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from multilight.scenes.assets.builtin.primitives import Surface, from_grid, merge, rounded_box, tube
+from multilight.scenes.random_streams import Rng
 from multilight.scenes.spec import Material
-from multilight.scenes.streams import Rng
 
 SWEEP_ID, ROLL_ID = "builtin/sweep-01", "builtin/sweep-roll-01"
 TABLE_SWEEP_IDS = ("builtin/sweep-table-01", "builtin/sweep-table-02")

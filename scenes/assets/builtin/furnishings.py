@@ -10,8 +10,8 @@ import numpy as np
 from multilight.scenes.assets.builtin.joinery import painted
 from multilight.scenes.assets.builtin.parts import METALS, PAPER, Part, tiled
 from multilight.scenes.assets.builtin.primitives import Surface, bar, bar_pair, from_grid, merge, prism, rotation, tube
+from multilight.scenes.random_streams import Rng, pick
 from multilight.scenes.spec import Material, Rgb
-from multilight.scenes.streams import Rng, pick
 
 CURTAIN_HEIGHT = 2.38
 _CLOTHS: tuple[Rgb, ...] = (

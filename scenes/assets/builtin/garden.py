@@ -16,8 +16,8 @@ from multilight.scenes.assets.builtin.primitives import (
     tube,
 )
 from multilight.scenes.assets.builtin.tableware import beaker, vessel
+from multilight.scenes.random_streams import Rng, pick
 from multilight.scenes.spec import Material, Rgb
-from multilight.scenes.streams import Rng, pick
 
 _SOIL = Material(name="soil", base_color=(0.06, 0.04, 0.028), roughness=0.95)
 _CLAYS: tuple[Rgb, ...] = ((0.50, 0.20, 0.10), (0.42, 0.24, 0.15), (0.55, 0.50, 0.44), (0.10, 0.10, 0.11))

@@ -8,8 +8,8 @@ import numpy as np
 
 from multilight.scenes.assets.builtin.parts import METALS, Part, tiled
 from multilight.scenes.assets.builtin.primitives import Surface, bar, bar_pair, cylinder, merge, rotation, tube
+from multilight.scenes.random_streams import Rng, pick
 from multilight.scenes.spec import Material, Rgb
-from multilight.scenes.streams import Rng, pick
 
 CASING = 0.07
 """Width [m] of the boards round an opening; a window's sill reaches `EAR` to each side instead."""

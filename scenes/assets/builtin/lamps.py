@@ -16,8 +16,8 @@ from multilight.scenes.assets.builtin.primitives import (
     tube,
 )
 from multilight.scenes.assets.builtin.tableware import beaker
+from multilight.scenes.random_streams import Rng, pick
 from multilight.scenes.spec import Material, Rgb
-from multilight.scenes.streams import Rng, pick
 
 GLOW = Material(name="glow", base_color=(0.92, 0.90, 0.86), roughness=0.4)
 _PLASTICS: tuple[Rgb, ...] = ((0.8, 0.79, 0.76), (0.03, 0.03, 0.035), (0.35, 0.36, 0.38), (0.55, 0.16, 0.12))

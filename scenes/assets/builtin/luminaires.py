@@ -4,8 +4,8 @@ import numpy as np
 
 from multilight.scenes.assets.builtin.parts import METALS, Part, tiled
 from multilight.scenes.assets.builtin.primitives import Surface, cylinder, lathe, merge, rounded, sphere, tube
+from multilight.scenes.random_streams import Rng, pick
 from multilight.scenes.spec import Material, Rgb
-from multilight.scenes.streams import Rng, pick
 
 GLASS = Material(name="glow", base_color=(0.9, 0.89, 0.86), roughness=0.35)
 _SHADES: tuple[Rgb, ...] = (

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from PIL import Image
 from pydantic import TypeAdapter
 
-from multilight.scenes import numbers, streams
+from multilight.scenes import numbers, random_streams
 from multilight.scenes.assets import derived_maps
 from multilight.scenes.assets.builtin import (
     backdrops,
@@ -32,7 +32,7 @@ from multilight.scenes.assets.environments import bpy_environment_path, bpy_envi
 from multilight.scenes.assets.info import AssetError, AssetInfo, AssetRole
 from multilight.scenes.assets.packs.pack import Pack
 from multilight.scenes.meshes import Mesh
-from multilight.scenes.streams import Rng, generator_of
+from multilight.scenes.random_streams import Rng, generator_of
 
 Recipe = Callable[[Rng], list[Part]]
 
@@ -171,7 +171,7 @@ class BuiltinPack(Pack):
     def __init__(self, cache: Path) -> None:
         self._cache = cache
         here = Path(__file__).parent
-        shared = (str(streams.__file__), str(numbers.__file__))
+        shared = (str(random_streams.__file__), str(numbers.__file__))
         self._model_key = sources_key(*sorted(map(str, here.glob("*.py"))), *shared)
         textures = sorted(map(str, (here / "textures").glob("*.py")))
         self._texture_key = sources_key(*textures, str(derived_maps.__file__), *shared)

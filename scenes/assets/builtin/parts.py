@@ -5,8 +5,8 @@ import numpy as np
 from multilight.scenes.assets.builtin.primitives import Surface
 from multilight.scenes.assets.derived_maps import MEAN_ROUGHNESS
 from multilight.scenes.meshes import Mesh, MeshPart
+from multilight.scenes.random_streams import Rng, pick
 from multilight.scenes.spec import Material, Rgb, Texture
-from multilight.scenes.streams import Rng, pick
 
 Part = tuple[Surface, Material]
 

@@ -11,8 +11,8 @@ from multilight.scenes.assets.builtin.primitives import (
     rounded,
     rounded_box,
 )
+from multilight.scenes.random_streams import Rng, pick
 from multilight.scenes.spec import Material
-from multilight.scenes.streams import Rng, pick
 
 _PLAIN = Material(name="plate", base_color=(0.7, 0.7, 0.7), roughness=0.3)
 MIRROR = Material(name="mirror", base_color=(0.92, 0.93, 0.93), metallic=1.0, roughness=0.0)

@@ -8,8 +8,8 @@ from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.builtin.lamps import GLOW
 from multilight.scenes.assets.builtin.parts import Part, metal
 from multilight.scenes.assets.builtin.primitives import Surface, from_grid, merge, rotation, rounded, rounded_box, tube
+from multilight.scenes.random_streams import Rng, pick
 from multilight.scenes.spec import Material, Rgb
-from multilight.scenes.streams import Rng, pick
 
 _CASES: tuple[Rgb, ...] = ((0.02, 0.02, 0.022), (0.55, 0.56, 0.58), (0.75, 0.74, 0.72), (0.16, 0.2, 0.28))
 _DISPLAY = Material(name="screen", base_color=(0.03, 0.03, 0.032), roughness=0.08, coat=0.0)

@@ -13,8 +13,8 @@ from multilight.scenes.assets.builtin.primitives import (
     rounded_box,
     tube,
 )
+from multilight.scenes.random_streams import Rng, pick
 from multilight.scenes.spec import Material
-from multilight.scenes.streams import Rng, pick
 
 TOPS = (
     ("wood-oak", 0.8, 0.45, 0.25),

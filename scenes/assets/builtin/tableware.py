@@ -7,8 +7,8 @@ import numpy as np
 from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.builtin.parts import BOTTLE_TINTS, Part, ceramic, glass, metal, paint, patterned
 from multilight.scenes.assets.builtin.primitives import lathe, merge, rounded, sphere, tube
+from multilight.scenes.random_streams import Rng, pick
 from multilight.scenes.spec import Material, Rgb
-from multilight.scenes.streams import Rng, pick
 
 
 def vessel(outer: Float64, wall: float, *, lip: float = 0.5) -> Float64:

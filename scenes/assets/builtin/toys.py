@@ -13,8 +13,8 @@ from multilight.scenes.assets.builtin.primitives import (
     rounded_box,
     torus,
 )
+from multilight.scenes.random_streams import Rng, pick
 from multilight.scenes.spec import Material
-from multilight.scenes.streams import Rng, pick
 
 
 def book(rng: Rng) -> list[Part]:

@@ -10,9 +10,9 @@ from typing import BinaryIO
 
 from PIL import UnidentifiedImageError
 
-from multilight.scenes.assets.formats.scene_file import Note
+from multilight.scenes.assets.formats.imported import Note
 from multilight.scenes.assets.info import AssetError
-from multilight.scenes.files.inside import inside
+from multilight.scenes.files.confined import inside
 from multilight.scenes.files.limits import MOST_JSON, open_picture, read_bytes
 
 _KNOWN = (

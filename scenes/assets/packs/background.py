@@ -17,9 +17,9 @@ from pydantic import TypeAdapter
 
 from multilight.scenes.assets.cache import read_kept, sources_key, write_json
 from multilight.scenes.assets.formats.cleaning import RawPart, clean_mesh, extent
-from multilight.scenes.assets.formats.intake import SUFFIXES, Intake
+from multilight.scenes.assets.formats.import_file import SUFFIXES, Intake
+from multilight.scenes.assets.formats.imported import FoundLight, Imported, Node, Note
 from multilight.scenes.assets.formats.mtl import part_name
-from multilight.scenes.assets.formats.scene_file import FoundLight, Imported, Node, Note
 from multilight.scenes.assets.info import AssetError, AssetInfo
 from multilight.scenes.assets.packs import guesses
 from multilight.scenes.assets.packs.folder import own_textures

@@ -18,13 +18,13 @@ from pydantic import TypeAdapter
 
 from multilight.scenes.assets.cache import file_digest, kept, write_json, write_once
 from multilight.scenes.assets.formats.cleaning import Z_UP_FROM_Y_UP, RawPart, clean_mesh, extent, transformed
-from multilight.scenes.assets.formats.intake import SKIES, SUFFIXES, Intake
+from multilight.scenes.assets.formats.import_file import SKIES, SUFFIXES, Intake
+from multilight.scenes.assets.formats.imported import Emission, Imported, Note
 from multilight.scenes.assets.formats.pictures import as_eight_bit
-from multilight.scenes.assets.formats.scene_file import Emission, Imported, Note
 from multilight.scenes.assets.info import AssetError, AssetInfo, AssetRole
 from multilight.scenes.assets.packs import guesses
 from multilight.scenes.assets.packs.pack import Pack
-from multilight.scenes.files.inside import OutsideError, held, plain_name
+from multilight.scenes.files.confined import OutsideError, held, plain_name
 from multilight.scenes.meshes import Mesh
 from multilight.scenes.spec import Material, Texture
 

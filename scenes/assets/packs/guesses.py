@@ -4,7 +4,7 @@ import re
 import unicodedata
 from pathlib import Path
 
-from multilight.scenes.assets.formats.intake import SUFFIXES
+from multilight.scenes.assets.formats.import_file import SUFFIXES
 from multilight.scenes.assets.info import AssetRole
 
 PLAIN_NAMES = (

@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from multilight.scenes.assets.formats.scene_file import Note
+from multilight.scenes.assets.formats.imported import Note
 from multilight.scenes.assets.info import AssetError, AssetInfo
 from multilight.scenes.meshes import Mesh
 

@@ -14,9 +14,9 @@ from multilight.scenes.kinds.rooms.plan import LIFT, PlacedPiece, Plan
 from multilight.scenes.kinds.rooms.shelves import Shelf
 from multilight.scenes.materials import body_materials
 from multilight.scenes.poses import about_z, apply_pose, pose_at
+from multilight.scenes.random_streams import Rng, pick
 from multilight.scenes.still_life.placement import PlacementError
 from multilight.scenes.still_life.selection import draw_by_category
-from multilight.scenes.streams import Rng, pick
 
 # Measures of what lies about [m, m²], and how often [probability].
 EDGE = 0.008  # smallest distance of a footprint to the edge of its surface

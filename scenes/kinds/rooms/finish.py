@@ -9,8 +9,8 @@ from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.colour import linear_from_hex
 from multilight.scenes.materials import GLOW, metres_per_uv, pick_texture, sample_material, textured
 from multilight.scenes.meshes import Mesh, MeshPart, triangle_areas
+from multilight.scenes.random_streams import Rng, pick
 from multilight.scenes.spec import Material
-from multilight.scenes.streams import Rng, pick
 
 _FABRICS = (
     "8d8578", "5f6a72", "3f4a55", "7a3f33", "b9a88a", "4f5a45", "a9a29a", "2f3b52", "a5673f", "6b5b6e", "d2c7b4",

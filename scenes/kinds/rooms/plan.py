@@ -21,9 +21,9 @@ from multilight.scenes.kinds.rooms.shell import DOOR_ZONE, SKIRTING, Shell, Wall
 from multilight.scenes.meshes import Mesh
 from multilight.scenes.names import free_name
 from multilight.scenes.poses import apply_pose, pose_at
+from multilight.scenes.random_streams import Rng
 from multilight.scenes.spec import Body, Material, Role
 from multilight.scenes.still_life.setting import make_body
-from multilight.scenes.streams import Rng
 
 GAP = 0.006
 """Smallest distance [m] between the boxes of two bodies."""

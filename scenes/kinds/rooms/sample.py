@@ -14,9 +14,9 @@ from multilight.scenes.kinds.rooms.plan import Plan
 from multilight.scenes.kinds.rooms.shell import sample_shell, shell_bodies
 from multilight.scenes.kinds.rooms.views import Room, sample_views
 from multilight.scenes.poses import rotated_scene
+from multilight.scenes.random_streams import Rng, Streams, Weights
 from multilight.scenes.spec import SceneSpec
 from multilight.scenes.still_life.attempts import SceneSettings, first_success
-from multilight.scenes.streams import Rng, Streams, Weights
 
 ATTEMPTS = 16
 

@@ -14,9 +14,9 @@ from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.kinds.rooms.finish import Palette
 from multilight.scenes.materials import painted_wall, pick_texture, sample_material, textured
+from multilight.scenes.random_streams import Rng, pick
 from multilight.scenes.spec import Body, Material
 from multilight.scenes.still_life.planes import downward_pose, level_pose, plane, skirting, upright_pose
-from multilight.scenes.streams import Rng, pick
 
 OVERSHOOT = 0.3
 """How far [m] walls, floor and ceiling run on behind each other."""

@@ -11,8 +11,8 @@ from multilight.scenes.cameras.pinhole import SENSOR_MM, camera_from_lens, look_
 from multilight.scenes.cameras.trajectory import CLOSER, SEEN, TrajectoryError, focused, in_frame
 from multilight.scenes.geometry.rays import SceneRays
 from multilight.scenes.poses import box_centre
+from multilight.scenes.random_streams import Rng, pick
 from multilight.scenes.spec import Camera
-from multilight.scenes.streams import Rng, pick
 
 # Measures [m], and fractions of a picture.
 HEIGHTS, LOWEST = (0.85, 1.75), 0.3  # of cameras: a seated child's eye to a tall adult's; when moved in on an object

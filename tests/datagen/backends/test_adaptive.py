@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import qmc
 
 from multilight.datagen.backends.choose import open_backend
-from multilight.datagen.backends.machine.variants import choose_variant
+from multilight.datagen.backends.machine.mitsuba_variant import choose_variant
 from multilight.datagen.backends.protocol import RenderJob, RenderSettings
 from multilight.scenes.assets.library import AssetLibrary
 from tests.datagen.backends.contract_scenes import RIG, job

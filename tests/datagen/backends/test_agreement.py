@@ -16,7 +16,7 @@ import trimesh
 from PIL import Image
 
 from multilight.datagen.backends.choose import open_backend
-from multilight.datagen.backends.machine.variants import choose_variant
+from multilight.datagen.backends.machine.mitsuba_variant import choose_variant
 from multilight.datagen.backends.protocol import Backend, RenderJob, RenderSettings
 from multilight.datagen.config.dataset import DatasetConfig
 from multilight.datagen.production.denoise import denoise_all
@@ -27,9 +27,9 @@ from multilight.lights.spec import LightRig
 from multilight.scenes.arrays import Float32
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.cameras.pinhole import camera_from_fov, look_at
+from multilight.scenes.random_streams import Streams
 from multilight.scenes.spec import SceneSpec
 from multilight.scenes.still_life.setting import make_body
-from multilight.scenes.streams import Streams
 from tests.datagen.backends.calibration_scenes import GREY, LIGHTS, SURFACES, calibration_job, calibration_scene
 from tests.datagen.backends.contract_scenes import placed
 

@@ -15,8 +15,8 @@ from multilight.datagen.storage.layers import LayerStack
 from multilight.lights.spec import AreaLight, EmissiveLight, EnvironmentLight, Light, LightRig, PointLight, SunLight
 from multilight.scenes.cameras.pinhole import camera_from_fov, look_at, matrix4, project
 from multilight.scenes.kinds.spheres import INSERTABLE, sample_spheres
+from multilight.scenes.random_streams import Streams
 from multilight.scenes.spec import Body, Material, MeshAsset, Rectangle, SceneSpec, Sphere, Texture
-from multilight.scenes.streams import Streams
 
 PLAIN = Material(base_color=(1.0, 0.5, 0.25), roughness=0.7, ior=1.0)
 

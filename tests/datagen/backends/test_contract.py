@@ -9,7 +9,7 @@ import pytest
 
 from multilight.datagen.backends.analytic import AnalyticBackend
 from multilight.datagen.backends.choose import open_backend
-from multilight.datagen.backends.machine.variants import choose_variant
+from multilight.datagen.backends.machine.mitsuba_variant import choose_variant
 from multilight.datagen.backends.protocol import Backend, BackendError, RenderJob
 from multilight.datagen.storage.layers import LayerStack
 from multilight.scenes.assets.library import AssetLibrary

@@ -12,7 +12,7 @@ import pytest
 from scipy.ndimage import binary_erosion
 
 from multilight.datagen.backends.choose import open_backend
-from multilight.datagen.backends.machine.variants import choose_variant
+from multilight.datagen.backends.machine.mitsuba_variant import choose_variant
 from multilight.datagen.backends.protocol import Backend, RenderJob, RenderSettings
 from multilight.datagen.production.stopwatch import Stopwatch
 from multilight.datagen.production.view import SceneSetup, render_view, shown_in

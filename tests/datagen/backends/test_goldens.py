@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from multilight.datagen.backends.choose import open_backend
-from multilight.datagen.backends.machine.variants import choose_variant
+from multilight.datagen.backends.machine.mitsuba_variant import choose_variant
 from multilight.datagen.backends.protocol import Backend
 from multilight.scenes.arrays import Float32
 from multilight.scenes.assets.library import AssetLibrary

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from multilight.datagen.backends.choose import open_backend
-from multilight.datagen.backends.machine.variants import choose_variant
+from multilight.datagen.backends.machine.mitsuba_variant import choose_variant
 from multilight.datagen.backends.protocol import RenderSettings
 from multilight.datagen.production import view as made
 from multilight.datagen.production.stopwatch import Stopwatch

@@ -12,8 +12,8 @@ from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.cameras.pinhole import focal_length_mm, matrix4, pixel_rays
 from multilight.scenes.cameras.trajectory import SEEN, in_frame
 from multilight.scenes.geometry.rays import SceneRays, surface_points
+from multilight.scenes.random_streams import Streams
 from multilight.scenes.spec import Body, SceneSpec
-from multilight.scenes.streams import Streams
 from tests.scenes.test_rooms import assert_cameras_free, loosened
 
 COUNTS: dict[Preset, int] = {"room": 10, "tabletop": 10, "studio": 6, "outdoor": 6}

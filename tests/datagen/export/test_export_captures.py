@@ -11,8 +11,8 @@ from PIL import Image
 
 from multilight.datagen.cli import main
 from multilight.datagen.export.images import depth_mm
+from multilight.datagen.storage.open_dataset import DatasetSource, open_dataset
 from multilight.datagen.storage.records import SceneRecord
-from multilight.datagen.storage.source import DatasetSource, open_dataset
 from multilight.datagen.tuples import compose
 from multilight.lights.display.tonemap import to_display
 from multilight.scenes.arrays import Float64

@@ -13,8 +13,8 @@ from PIL import Image
 from multilight.datagen.cli import main
 from multilight.datagen.export.dtc.scene import Frame, numbered
 from multilight.datagen.export.dtc.work import choose
+from multilight.datagen.storage.open_dataset import open_dataset
 from multilight.datagen.storage.records import SceneRecord
-from multilight.datagen.storage.source import open_dataset
 from multilight.datagen.storage.store import ViewData, read_scene, read_view, scene_dir
 from multilight.datagen.tuples.compose import background, composite, target
 from multilight.lights.display.reinhard import Metering, join, meter_view, tone_map

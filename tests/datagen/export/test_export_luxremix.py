@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation
 from multilight.datagen.cli import main
 from multilight.datagen.export.luxremix.export import _rgba, light_masks
 from multilight.datagen.export.luxremix.meta import draw_passes
+from multilight.datagen.storage.open_dataset import open_dataset
 from multilight.datagen.storage.records import SceneRecord
-from multilight.datagen.storage.source import open_dataset
 from multilight.datagen.storage.store import ViewData, write_exr
 from multilight.lights.spec import EmissiveLight, EnvironmentLight, LightRig
 

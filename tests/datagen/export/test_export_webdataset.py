@@ -15,8 +15,8 @@ from multilight.datagen.cli import main
 from multilight.datagen.export.tars import TarShards
 from multilight.datagen.export.webdataset.card import HUB_LICENCES, META, Shards, write_card
 from multilight.datagen.export.webdataset.export import draw_pairs
+from multilight.datagen.storage.open_dataset import open_dataset
 from multilight.datagen.storage.records import AssetCredit
-from multilight.datagen.storage.source import open_dataset
 from multilight.datagen.tuples import compose
 from multilight.lights.display.tonemap import to_display
 from multilight.lights.spec import LightingCondition

@@ -23,7 +23,7 @@ from multilight.model.cli import COMMANDS as MODEL_COMMANDS
 from multilight.model.inference.pictures import read_depth, read_picture
 from multilight.model.networks.checkpoint import load_network
 from multilight.scenes.assets.environments import read_environment
-from multilight.scenes.assets.formats import claims
+from multilight.scenes.assets.formats import precheck
 from multilight.scenes.assets.info import AssetError
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.files.limits import MOST_TRIANGLES, read_bytes, read_json, read_toml
@@ -167,7 +167,7 @@ def test_sound_models_pass(tmp_path: Path) -> None:
     }.items():
         path = tmp_path / f"{name}.glb"
         path.write_bytes(content)
-        claims.check_model(path, tmp_path)
+        precheck.check_model(path, tmp_path)
 
 
 def test_pictures_of_an_obj_file_are_looked_at(tmp_path: Path) -> None:
@@ -175,14 +175,14 @@ def test_pictures_of_an_obj_file_are_looked_at(tmp_path: Path) -> None:
     trimesh.creation.box().export(path)
     path.write_text("mtllib model.mtl\n" + path.read_text())
     (tmp_path / "model.mtl").write_text("newmtl a\nmap_Kd  wood grain.png\n")
-    claims.check_model(path, tmp_path)  # a picture that is missing is looked for near by, or named, where it is used
+    precheck.check_model(path, tmp_path)  # a picture that is missing is looked for near by, or named, where it is used
     (tmp_path / "wood grain.png").write_bytes(png(50_000, 50_000))
     with pytest.raises(AssetError, match=r"model\.obj: its texture 'wood grain\.png' .* 67 million pixels"):
-        claims.check_model(path, tmp_path)
+        precheck.check_model(path, tmp_path)
     (tmp_path / "model.mtl").unlink()
     os.mkfifo(tmp_path / "model.mtl")
     with pytest.raises(AssetError, match="is a pipe or a device"):
-        claims.check_model(path, tmp_path)
+        precheck.check_model(path, tmp_path)
 
 
 @pytest.mark.parametrize("side", [9_000, 13_000, 50_000, 2**31 - 1])

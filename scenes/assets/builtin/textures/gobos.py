@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter
 
 from multilight.scenes.arrays import Float64, UInt8
 from multilight.scenes.assets.builtin.textures.patterns import noise
-from multilight.scenes.streams import Rng, generator_of
+from multilight.scenes.random_streams import Rng, generator_of
 
 RESOLUTION = 512
 _EDGE = 0.004

@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter
 
 from multilight.scenes.arrays import Float64
 from multilight.scenes.assets.builtin.textures.patterns import Colour, axes, cells, noise, ramp, step
-from multilight.scenes.streams import Rng
+from multilight.scenes.random_streams import Rng
 
 BLADES = 20000
 """Blades of grass on a tile of lawn."""

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from multilight.scenes.arrays import Float64, Int64
 from multilight.scenes.numbers import smoothstep
-from multilight.scenes.streams import Rng
+from multilight.scenes.random_streams import Rng
 
 Colour = tuple[float, float, float]
 

@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from multilight.scenes.assets.builtin.textures.patterns import noise, ramp
-from multilight.scenes.streams import Rng, generator_of, pick
+from multilight.scenes.random_streams import Rng, generator_of, pick
 
 Ink = tuple[int, int, int]
 

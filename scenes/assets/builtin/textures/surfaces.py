@@ -28,7 +28,7 @@ from multilight.scenes.assets.builtin.textures.patterns import (
     wood,
 )
 from multilight.scenes.assets.derived_maps import roughness_map
-from multilight.scenes.streams import Rng, generator_of
+from multilight.scenes.random_streams import Rng, generator_of
 
 RESOLUTION = 1024
 

@@ -17,7 +17,7 @@ from scipy import ndimage
 from multilight.scenes.arrays import Float32, Float64
 from multilight.scenes.assets.environments import read_environment, read_hdr
 from multilight.scenes.assets.formats.ies import parse_ies
-from multilight.scenes.assets.formats.scene_file import Emission, FoundLight
+from multilight.scenes.assets.formats.imported import Emission, FoundLight
 from multilight.scenes.assets.formats.usd.materials import (
     Tell,
     by_blender,

@@ -11,14 +11,14 @@ from PIL import Image
 from pxr import Usd, UsdShade
 
 from multilight.scenes.assets.formats.coordinates import Place, Wrap, affine_of, common
+from multilight.scenes.assets.formats.imported import EMISSION_NITS, Emission
 from multilight.scenes.assets.formats.mtl import part_name
 from multilight.scenes.assets.formats.pictures import as_eight_bit
-from multilight.scenes.assets.formats.scene_file import EMISSION_NITS, Emission
 from multilight.scenes.assets.formats.usd.names import BASE, IMAGE, NAME, NITS, OPACITY, OWN, TRANSMISSION
 from multilight.scenes.assets.info import AssetError
 from multilight.scenes.colour import LUMINOUS_EFFICACY, srgb_decode, srgb_encode
 from multilight.scenes.files import limits
-from multilight.scenes.files.inside import OutsideError, held
+from multilight.scenes.files.confined import OutsideError, held
 from multilight.scenes.frozen import Rgb
 from multilight.scenes.spec import Material, Texture
 

@@ -9,10 +9,10 @@ from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdShade, UsdSkel, UsdUtils
 
 from multilight.scenes.arrays import Float64, Int64, Mask
 from multilight.scenes.assets.environments import keep_map
-from multilight.scenes.assets.formats.claims import check_triangles
 from multilight.scenes.assets.formats.cleaning import Z_UP_FROM_Y_UP, RawPart, tinted
 from multilight.scenes.assets.formats.coordinates import Place, laid
-from multilight.scenes.assets.formats.scene_file import Imported, KeepImage, Node, Note
+from multilight.scenes.assets.formats.imported import Imported, KeepImage, Node, Note
+from multilight.scenes.assets.formats.precheck import check_triangles
 from multilight.scenes.assets.formats.usd.lights import KINDS, LightReader, read_map, tube_of, upright
 from multilight.scenes.assets.formats.usd.materials import (
     NOW,
@@ -26,7 +26,7 @@ from multilight.scenes.assets.formats.usd.materials import (
 )
 from multilight.scenes.assets.formats.usd.shapes import SHAPES, Shape, read_shape, tube
 from multilight.scenes.assets.info import AssetError, unreadable
-from multilight.scenes.files.inside import OutsideError, held
+from multilight.scenes.files.confined import OutsideError, held
 from multilight.scenes.files.limits import MOST_NODES, LimitError, check_file
 from multilight.scenes.frozen import Rgb
 from multilight.scenes.poses import apply_pose, pose_of

@@ -6,7 +6,7 @@ import tempfile
 from pathlib import Path
 
 from multilight.datagen.backends.choose import open_backend, resolve_renderer
-from multilight.datagen.backends.machine.variants import choose_variant, prepare_environment
+from multilight.datagen.backends.machine.mitsuba_variant import choose_variant, prepare_environment
 from multilight.scenes.assets.library import AssetLibrary
 from tests.datagen.backends.goldens import CASES, measure, save
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from multilight.scenes.assets import memory
-from multilight.scenes.assets.memory import MeshMemory
+from multilight.scenes.assets import mesh_memory
+from multilight.scenes.assets.mesh_memory import MeshMemory
 from multilight.scenes.meshes import Mesh, once_a_mesh, rectangle_part
 from multilight.scenes.spec import Material, Rectangle
 
@@ -26,7 +26,7 @@ def test_the_longest_unused_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> Non
         return kept.recall(Path(name), load)
 
     first = ask("a")
-    monkeypatch.setattr(memory, "MOST_BYTES", 2 * 2000)  # two rectangles
+    monkeypatch.setattr(mesh_memory, "MOST_BYTES", 2 * 2000)  # two rectangles
     assert ask("b") is not first
     assert ask("a") is first
     ask("c")  # "b" goes

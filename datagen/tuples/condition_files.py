@@ -8,18 +8,18 @@ from pydantic import ValidationError
 
 from multilight.datagen.errors import UserError
 from multilight.datagen.files.outputs import written
+from multilight.datagen.storage.object_variants import ALL
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.store import ViewData
-from multilight.datagen.storage.variants import ALL
 from multilight.datagen.text import did_you_mean
 from multilight.datagen.tuples.exposure import levels, meter_condition, thumbnail
-from multilight.lights.conditions import random_condition
 from multilight.lights.describe import describe
 from multilight.lights.relight import mix
+from multilight.lights.sample_conditions import random_condition
 from multilight.lights.spec import LightingCondition, LightRig
 from multilight.scenes.files.limits import read_text, shown
 from multilight.scenes.frozen import Rgb
-from multilight.scenes.streams import Streams
+from multilight.scenes.random_streams import Streams
 
 EXAMPLE = '{"name": "warm", "gains": {"key": [1.2, 0.9, 0.5], "fill": 1}, "exposure_ev": 0.5}'
 """What a file of a condition holds, where a scene has lights of these names."""

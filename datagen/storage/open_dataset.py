@@ -21,9 +21,9 @@ from typing import Literal
 import polars as pl
 
 from multilight.datagen.errors import StoreError, UserError
+from multilight.datagen.storage.address import Place, find_place
 from multilight.datagen.storage.blocks import Index, joined, read_blocks
 from multilight.datagen.storage.index import index_table
-from multilight.datagen.storage.place import Place, find_place
 from multilight.datagen.storage.records import DatasetRecord, SceneRecord
 from multilight.datagen.storage.store import (
     COPIES,

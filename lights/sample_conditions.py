@@ -14,7 +14,7 @@ from multilight.lights.photometry.radiometry import rgb_from_scalar
 from multilight.lights.rigs.natural import WHITES
 from multilight.lights.spec import Light, LightingCondition, LightRig
 from multilight.scenes.frozen import Rgb, triple
-from multilight.scenes.streams import Rng
+from multilight.scenes.random_streams import Rng
 
 GAIN = 3.0
 """Gains are drawn between `1 / GAIN` and `GAIN`, evenly in their logarithm."""

@@ -12,10 +12,10 @@ from PIL import Image
 
 from multilight.datagen.cli import main
 from multilight.datagen.errors import StoreError, UserError
-from multilight.datagen.storage.source import open_dataset
+from multilight.datagen.storage.open_dataset import open_dataset
 from multilight.scenes.assets.info import AssetError
 from multilight.scenes.assets.packs.folder import FolderPack
-from multilight.scenes.files.inside import OutsideError, held, inside, plain_name
+from multilight.scenes.files.confined import OutsideError, held, inside, plain_name
 from tests.datagen.chain import rewrite_json
 from tests.datagen.servers import http_server, in_memory, s3_server
 

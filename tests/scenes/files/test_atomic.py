@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from multilight.scenes.files.whole import write_whole
+from multilight.scenes.files.atomic import write_whole
 
 
 def test_a_file_appears_at_the_end(tmp_path: Path) -> None:

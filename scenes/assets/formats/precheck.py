@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
+from multilight.scenes.assets.formats.imported import Note
 from multilight.scenes.assets.formats.obj import check_obj, check_picture
-from multilight.scenes.assets.formats.scene_file import Note
 from multilight.scenes.assets.info import AssetError, unreadable
-from multilight.scenes.files.inside import OutsideError, inside
+from multilight.scenes.files.confined import OutsideError, inside
 from multilight.scenes.files.limits import (
     MOST_FILE,
     MOST_JSON,

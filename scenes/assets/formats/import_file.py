@@ -18,7 +18,7 @@ from functools import cache
 from pathlib import Path
 
 from multilight.scenes.assets.cache import file_digest, is_sound, read_kept, sources_key
-from multilight.scenes.assets.formats.scene_file import ARRAYS, RECORD, Imported, Record, load_import
+from multilight.scenes.assets.formats.imported import ARRAYS, RECORD, Imported, Record, load_import
 from multilight.scenes.assets.info import AssetError
 
 CONVERTER = "multilight.datagen.backends.blender.convert"

@@ -11,12 +11,12 @@ import polars as pl
 
 from multilight.datagen.errors import StoreError, reason_of
 from multilight.datagen.storage.manifest import MANIFEST, parse_manifest, read_manifest, remedy
+from multilight.datagen.storage.open_dataset import DatasetSource, open_dataset
 from multilight.datagen.storage.packed import PackedView, pack_view, read_packed
 from multilight.datagen.storage.records import SceneRecord, view_file
-from multilight.datagen.storage.source import DatasetSource, open_dataset
 from multilight.datagen.storage.store import file_sha256, scene_folder
 from multilight.scenes.assets.cache import default_cache
-from multilight.scenes.files.whole import write_whole
+from multilight.scenes.files.atomic import write_whole
 
 VISIBLE = "visible.parquet"
 """Marks a packed dataset: how much of each view every insertable object covers."""

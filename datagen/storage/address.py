@@ -10,7 +10,7 @@ import fsspec
 from fsspec import AbstractFileSystem
 
 from multilight.datagen.errors import StoreError, UserError, reason_of
-from multilight.scenes.files.inside import OutsideError, held, inside, plain_name
+from multilight.scenes.files.confined import OutsideError, held, inside, plain_name
 
 
 @dataclass(frozen=True)
