@@ -66,5 +66,5 @@ def read_blocks(place: Place, record: DatasetRecord) -> Index:
         if not older and hashlib.sha256(content).hexdigest() != stated:
             found.faults[number] = f"{name} is not the one that dataset.json states"
     if doubled := sum(map(len, found.tables.values())) - joined(found.tables.values())["index"].n_unique():
-        found.faults |= dict.fromkeys(found.tables, f"{place.address}: the index has {doubled} scenes twice")
+        found.faults.update(dict.fromkeys(found.tables, f"{place.address}: the index has {doubled} scenes twice"))
     return found
