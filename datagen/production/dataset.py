@@ -101,7 +101,7 @@ def _made(plan: Plan, work: Work, library: AssetLibrary | None, record: DatasetR
         failures = run_scenes(work, missing, further)
     with locked(plan.root, PATIENCE):
         finish(plan.root, there)
-        if failures or len(work.made) < len(missing):  # of what runs made that were killed, nobody has written the rows
+        if {*missing, *further} - work.made.keys():  # of what runs made that were killed, nobody has written the rows
             now = read_dataset(plan.root)
             finish(plan.root, survey(plan.root, now, read_blocks(find_place(plan.root), now), contents=False))
     return Outcome(
