@@ -35,8 +35,7 @@ def failures(options: Options, preset: Preset) -> tuple[int, list[str]]:
     size = {"width": options.size, "height": options.size, "views": options.views}
     config = load_config(None, size | {"seed": options.seed, "scenes": options.first + options.scenes}, preset)
     library = open_library(config)
-    made = 0
-    told: list[str] = []
+    made, told = 0, list[str]()
     with tempfile.TemporaryDirectory() as folder, open_backend("mitsuba", library) as backend:
         maker = SceneMaker(config, "mitsuba", Path(folder), library, backend, 1)
         for index in range(options.first, options.first + options.scenes):

@@ -27,7 +27,7 @@ class RenderSettings(Frozen):
 
 @dataclass(frozen=True)
 class RenderJob:
-    """One variant (`datagen.storage.variants`) of one view."""
+    """One variant (`datagen.storage.object_variants`) of one view."""
 
     scene: SceneSpec
     rig: LightRig

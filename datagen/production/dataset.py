@@ -100,6 +100,9 @@ def _made(plan: Plan, work: Work, library: AssetLibrary | None, record: DatasetR
         failures = run_scenes(work, missing, further)
     with locked(plan.root, PATIENCE):
         finish(plan.root, there)
+        if {*missing, *further} - work.made.keys():  # of what runs made that were killed, nobody has written the rows
+            now = read_dataset(plan.root)
+            finish(plan.root, survey(plan.root, now, read_blocks(find_place(plan.root), now), contents=False))
     return Outcome(
         made=tuple(work.made),
         kept=len(wanted) - len(missing),

@@ -3,7 +3,7 @@
 import hashlib
 import random
 import shutil
-from functools import partial
+from operator import methodcaller
 from pathlib import Path
 
 import polars as pl
@@ -19,7 +19,7 @@ from multilight.datagen.storage.open_dataset import open_dataset
 from multilight.datagen.storage.open_training import open_training
 from multilight.datagen.storage.store import file_sha256, read_dataset, scene_dir, scene_folder
 from multilight.datagen.verification.dataset import check_files, verify_dataset
-from tests.datagen.chain import rewrite_json
+from tests.datagen.chain import Json, rewrite_json
 from tests.datagen.servers import http_server, in_memory
 
 SCENES = 7
@@ -39,7 +39,8 @@ def many(spheres_copy: Path) -> Path:
         shutil.copytree(scene_dir(spheres_copy, 0), scene_dir(spheres_copy, index))
         reason = ["contacts: nothing carries it"] * (index % 2)
         path = scene_dir(spheres_copy, index) / "scene.json"
-        rewrite_json(path, partial(dict.update, index=index, thrown_away=reason, split="train"))
+        changed: Json = {"index": index, "thrown_away": reason, "split": "train"}
+        rewrite_json(path, methodcaller("update", changed))
     (spheres_copy / "index.parquet").unlink()
     empty = {"index_sha256": "", "index_rows": 0, "assets": []}
 

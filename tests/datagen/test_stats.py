@@ -2,7 +2,7 @@
 
 import json
 import re
-from functools import partial
+from operator import methodcaller
 from pathlib import Path
 
 import numpy as np
@@ -260,7 +260,7 @@ def test_what_was_thrown_away_is_told(spheres_copy: Path, tmp_path: Path, capsys
     reasons = ["contacts: nothing carries cup", "exposure: view 1: black"]
     for index, why in enumerate((reasons, reasons[:1])):
         path = spheres_copy / f"scenes/{index:06d}/scene.json"
-        rewrite_json(path, partial(dict.update, thrown_away=why, attempt=len(why)))
+        rewrite_json(path, methodcaller("update", {"thrown_away": why, "attempt": len(why)}))
     chain(spheres_copy)
     assert read_dataset(spheres_copy).thrown_away == {"contacts": 2, "exposure": 1}
     assert verify_dataset(str(spheres_copy), quick=True).results[0][1] == []
