@@ -120,6 +120,8 @@ function fail(error: Error): void {
 }
 
 async function openScene(index: number, hash: string): Promise<void> {
+  clearTimeout(written); // what was shown before must not take the place of what is asked for
+  delete document.body.dataset.shown;
   try {
     const scene = await loadJson<Scene>(`${sceneFolder(index)}/scene.json`);
     const light = (name: string) => lightingOf(scene.conditions.find((condition) => condition.name === name) ?? scene.conditions[0], scene);
@@ -210,6 +212,7 @@ async function begin(): Promise<void> {
 
 /** Show what the address says. */
 async function follow(): Promise<void> {
+  clearTimeout(written);
   address = location.hash;
   const hash = address.slice(1);
   if (!dataset || hash === document.body.dataset.shown) return;

@@ -40,7 +40,7 @@ void main() {
   ivec2 size = textureSize(layers, 0).xy, at = ivec2(gl_FragCoord.xy);
   at.y = size.y - 1 - at.y;
   colour.a = 1.;
-  if (pane == 3) { colour.rgb = tanh(1.5 * (mixed(layers, at, base) - mixed(without, at, base))) * .5 + .5; return; }
+  if (pane == 3) { colour.rgb = tanh(clamp(1.5 * (mixed(layers, at, base) - mixed(without, at, base)), -9., 9.)) * .5 + .5; return; }
   vec3 rgb = max(pane == 0 ? mixed(without, at, base) : pane == 1 ? pasted(at) : mixed(layers, at, base), 0.);
   if (curve == 2) {
     float stop = log2(max(dot(rgb, vec3(.2126, .7152, .0722)), 1e-9) / .18);
