@@ -3,7 +3,6 @@
 import math
 import multiprocessing
 import os
-import resource
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
@@ -156,9 +155,15 @@ def _measured(setup: WorkerSetup, index: int) -> Measured:
     return Measured(
         core_seconds=share * spent,
         start=computed + (1 - share) * spent if first else 0.0,
-        memory=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024,
+        memory=_most_memory(),
         size=sum(file.stat().st_size for file in files),
     )
+
+
+def _most_memory() -> int:
+    """Return the most memory that this process took [bytes]; not by `getrusage`, which counts what its parent had."""
+    lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
+    return next(int(line.split()[1]) * 1024 for line in lines if line.startswith("VmHWM:"))
 
 
 _MADE: list[int] = []

@@ -249,7 +249,7 @@ def test_what_ends_the_converter_is_named_and_the_rest_goes_on(tmp_path: Path, m
     for name, case in (("a", "more/e07_rough16"), ("b", "more/e13_black_plastic"), ("c", "models/a09_sparse")):
         shutil.copy(CASES / f"{case}.glb", tmp_path / f"{name}.glb")
     crash = "import os\nfrom multilight.scenes.assets.formats import precheck\nread = precheck.check_model\n"
-    crash += "claims.check_model = lambda p, f: os.abort() if p.name == 'b.glb' else read(p, f)\n"
+    crash += "precheck.check_model = lambda p, f: os.abort() if p.name == 'b.glb' else read(p, f)\n"
     (tmp_path / "here").mkdir()
     (tmp_path / "here" / "sitecustomize.py").write_text(crash)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path / "here"))
