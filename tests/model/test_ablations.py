@@ -314,7 +314,8 @@ def test_ablation_trains_evaluates_resumes_and_tells(spheres_dataset: Path, tmp_
 
 def test_variants_differ_in_nothing_else(spheres_dataset: Path, tmp_path: Path) -> None:
     """What each training was told differs from the base in the one place that its name says."""
-    for name, keys in (("head", {"network", "loss"}), ("inputs", {"network"}), ("lighting", {"data"}), ("scenes", {"data"})):
+    may = {"head": {"network", "loss"}, "inputs": {"network"}, "lighting": {"data"}, "scenes": {"data"}}
+    for name, keys in may.items():
         chosen = settings(spheres_dataset, tmp_path / name, name)
         base = base_values(chosen)
         # The dataset has too few scenes to compare lightings on.
