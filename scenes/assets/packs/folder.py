@@ -175,8 +175,8 @@ class FolderPack(Pack):
         suffix = self._entries[info.id.partition("/")[2]].file.suffix.lower()
         if usual is None and largest > guesses.LARGEST_OBJECT and suffix in UNITLESS:
             yield (
-                f"is {largest:.4g} m large, where its format knows no unit; if it is in millimetres, set "
-                "metres_per_unit to 0.001 in assets.csv"
+                f"is {largest:.4g} m large, where its format knows no unit; if it is in centimetres or "
+                "millimetres, set metres_per_unit to 0.01 or 0.001 in assets.csv"
             )
         if usual is not None and info.size is not None and not usual[1] <= max(info.size) <= usual[2]:
             yield (
