@@ -59,5 +59,6 @@ class Plan(Settings):
         print(f"time       {duration(3600 * hours)}: machines {self.machines}, workers on each {workers}{short}")
         print(f"disk       {size(round(found.scenes * found.size))}: {size(round(found.size))} a scene")
         print(f"memory     {size(found.memory * workers)} of {size(memory)} a machine: {size(found.memory)} a worker")
-        print(f"measured on this machine, on {found.measured} scenes")
+        failed = f"; {found.failed} more could not be made, and are left out" if found.failed else ""
+        print(f"measured on this machine, on {found.measured} scenes{failed}")
         return 0

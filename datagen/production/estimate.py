@@ -49,7 +49,8 @@ class Estimate:
     """What `scenes` scenes cost: `core_seconds` each, give or take `error` (one standard error), on one core.
 
     `start` are core-seconds each time a worker starts, once in `a_worker` scenes; `memory` is the most that a
-    worker took [bytes], `size` the mean of a scene on disk [bytes], `measured` how many were made.
+    worker took [bytes], `size` the mean of a scene on disk [bytes], `measured` how many were made, `failed` how many of
+    those that were tried could not be, which the cost leaves out.
     """
 
     scenes: int
@@ -60,6 +61,7 @@ class Estimate:
     memory: int
     size: float
     measured: int
+    failed: int
 
     def core_hours(self) -> float:
         """Return the core-hours of all scenes, workers' starts included."""
@@ -88,7 +90,7 @@ def estimate(
     found: list[Measured] = []
     with tempfile.TemporaryDirectory(prefix="multilight-plan-") as folder:
         setup = WorkerSetup(config, renderer, Path(folder), tuple(assets), _threads(workers), os.getpid(), "plan")
-        begun, failed = time.monotonic(), ""
+        begun, failed = time.monotonic(), list[str]()
         with _pool(workers) as pool:
             waiting: set[Future[Measured]] = set()
             while order or waiting:
@@ -101,11 +103,11 @@ def estimate(
                 for future in done:
                     try:
                         found.append(future.result())
-                    except MultilightError as error:  # a scene that fails its checks costs as well, but little
-                        failed = str(error)
+                    except MultilightError as error:
+                        failed.append(str(error))
                 report(min(time.monotonic() - begun, seconds), seconds, f"making scenes to measure ({len(found)} made)")
     if not found:
-        raise UserError(f"no scene could be made: {failed or 'time was up'}")
+        raise UserError(f"no scene could be made: {failed[-1] if failed else 'time was up'}")
     costs = [one.core_seconds for one in found]
     starts = [one.start for one in found if one.start]
     return Estimate(
@@ -117,6 +119,7 @@ def estimate(
         memory=max(one.memory for one in found),
         size=fmean(one.size for one in found),
         measured=len(found),
+        failed=len(failed),
     )
 
 

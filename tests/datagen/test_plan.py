@@ -7,15 +7,34 @@ from pathlib import Path
 import pytest
 
 from multilight.datagen.cli import main
+from multilight.datagen.config.dataset import load_config
+from multilight.datagen.errors import UserError
+from multilight.datagen.production import estimate as production
 from multilight.datagen.production.estimate import LEAST, Estimate
+from multilight.datagen.production.worker import WorkerSetup
+from multilight.datagen.report import silent
 from tests.conftest import SPHERES
 
 GB = 10**9
 
 
+def one_fails(setup: WorkerSetup, index: int) -> production.Measured:
+    if index == 1:
+        raise UserError("scene 1 has no room for a plate")
+    return production.Measured(core_seconds=1.0, start=1.0, memory=GB, size=10)
+
+
 def test_hours_are_core_seconds_and_starts_over_workers() -> None:
     found = Estimate(
-        scenes=1000, core_seconds=36.0, error=1.0, start=90.0, a_worker=25, memory=2 * GB, size=5.0, measured=10
+        scenes=1000,
+        core_seconds=36.0,
+        error=1.0,
+        start=90.0,
+        a_worker=25,
+        memory=2 * GB,
+        size=5.0,
+        measured=10,
+        failed=0,
     )
     assert found.core_hours() == pytest.approx(10 + 1)  # 1000 scenes, and 40 starts: one in 25 scenes
     assert found.workers(cores=16, memory=64 * GB) == 16
@@ -51,6 +70,15 @@ def test_it_says_so_in_words(capsys: pytest.CaptureFixture[str]) -> None:
     assert told[0] == "3 scenes of 3 views of 64 x 48 pixels"
     assert "as many as the memory holds" in told[2]
     assert max(map(len, told)) <= 100
+
+
+def test_scenes_that_cannot_be_made_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of three scenes one fails in its worker."""
+    size = {"width": 32, "height": 24, "views": 1}
+    config = load_config(None, {"scenes": 3, "kind": "spheres", "renderer": "analytic"} | size)
+    monkeypatch.setattr(production, "_measured", one_fails)
+    found = production.estimate(config, (), workers=1, seconds=60, report=silent)
+    assert (found.measured, found.failed) == (2, 1)
 
 
 @pytest.mark.parametrize(
