@@ -1,6 +1,7 @@
 """The film: sums over samples, pixel by pixel, of which each may have another number."""
 
 from collections.abc import Collection, Iterable
+from pathlib import Path
 
 import drjit as dr
 import mitsuba as mi
@@ -9,6 +10,7 @@ import numpy as np
 from multilight.datagen.backends.mitsuba.adaptive import Blocks
 from multilight.datagen.backends.mitsuba.device import on_device
 from multilight.datagen.backends.protocol import LARGE
+from multilight.datagen.files.shelf import Shelf
 from multilight.scenes.arrays import Float32, Int64
 
 Key = tuple[str, str]
@@ -20,11 +22,13 @@ Values = list[mi.Color3f] | list[mi.Normal3f]
 class Film:
     """What a view's samples add up to; always in the same order, so to the same bits.
 
-    Sums lie in the host's memory, where what nothing was added to takes none.
+    Sums lie in the host's memory, where what nothing was added to takes none; those of a large picture on disk, in a
+    nameless file in a folder.
     """
 
-    def __init__(self, height: int, width: int) -> None:
+    def __init__(self, height: int, width: int, scratch: Path | None = None) -> None:
         self._shape = height, width
+        self._shelf = Shelf(scratch) if height * width > LARGE else None
         self._samples: Int64 = np.zeros(height * width, np.int64)
         self._sums: dict[Key, Float32] = {}
         self._squares: dict[Key, Float32] = {}
@@ -41,7 +45,9 @@ class Film:
         first = on_device(mi.UInt32, (np.cumsum(counts) - counts).astype(np.uint32))
 
         def add(known: dict[Key, Float32], key: Key, sums: list[mi.Float]) -> None:
-            totals = known.setdefault(key, np.zeros((len(sums), self._samples.size), np.float32))
+            if key not in known:
+                known[key] = self._zeros((len(sums), self._samples.size))
+            totals = known[key]
             before = [on_device(mi.Float, channel[pixels]) for channel in totals]
             for channel, total in zip(totals, _added(before, sums, first, count), strict=True):
                 if (found := np.array(total)).any():
@@ -52,6 +58,11 @@ class Film:
             add(self._sums, key, sums)
             if key in squares:
                 add(self._squares, key, [sum(dr.square(channel) for channel in sums)])
+        if self._shelf is not None:
+            self._shelf.rest()
+
+    def _zeros(self, shape: tuple[int, ...]) -> Float32:
+        return np.zeros(shape, np.float32) if self._shelf is None else self._shelf.zeros(shape, np.float32)
 
     def mean(self, key: Key) -> Float32:
         """Return means over each pixel's samples, (n, H, W, 3)."""
