@@ -8,7 +8,13 @@ import numpy as np
 
 from multilight.datagen.backends.protocol import LARGE, Backend, RenderJob, RenderSettings
 from multilight.datagen.files.shelf import Shelf
-from multilight.datagen.production.denoise import denoise_all, denoise_foreground, denoise_without, foreground_layers
+from multilight.datagen.production.denoise import (
+    denoise_all,
+    denoise_foreground,
+    denoise_without,
+    foreground_layers,
+    forget_filters,
+)
 from multilight.datagen.production.stopwatch import Stopwatch
 from multilight.datagen.storage.halves import Halves, in_planes
 from multilight.datagen.storage.layers import LayerStack
@@ -95,6 +101,7 @@ def _kept(layers: Iterable[tuple[str, Float32]], shelf: Shelf | None) -> Mapping
         return dict(layers)
     found = {}
     for name, values in layers:
+        forget_filters()
         found[name] = [shelf.keep(np.stack(in_planes(layer))) for layer in values]
         shelf.rest()
     return Halves(found)
@@ -127,7 +134,8 @@ def _denoised(
     threads: int,
 ) -> Iterator[tuple[str, Float32]]:
     """Yield variants and their denoised layers; note how far these are from what was rendered."""
-    clean = denoise_all(everything, threads=threads)
+    rest = None if shelf is None else shelf.rest
+    clean = denoise_all(everything, threads=threads, rest=rest)
     if shelf is not None:
         clean = shelf.keep(clean)
     anywhere = np.ones(clean.shape[1:3], bool)
@@ -135,9 +143,8 @@ def _denoised(
     residuals[ALL] = Residuals(outside=_largest(everything.lights, left))
     yield ALL, clean
     for name, stack in without.items():
-        removed = denoise_without(
-            stack, everything, clean, shown_in(everything, stack, foregrounds[name]), threads=threads
-        )
+        shown = shown_in(everything, stack, foregrounds[name])
+        removed = denoise_without(stack, everything, clean, shown, threads=threads, rest=rest)
         residuals[Variant.without(name)] = Residuals(
             inside=_largest(stack.lights, removed.inside),
             outside=_largest(stack.lights, removed.outside),
@@ -145,7 +152,7 @@ def _denoised(
         )
         yield Variant.without(name), removed.layers
         del removed  # before more is made
-        yield Variant.foreground(name), denoise_foreground(foregrounds[name], clean, threads=threads)
+        yield Variant.foreground(name), denoise_foreground(foregrounds[name], clean, threads=threads, rest=rest)
 
 
 def _largest(lights: Sequence[str], found: Iterable[float]) -> dict[str, float]:
