@@ -38,6 +38,7 @@ WINDOWS = 9, 27, 81  # pixels over which a change is judged: where noise is rare
 MOST_MEMORY = 2000
 """MB, of all threads: what takes more, pictures of 2.4 megapixels, OIDN denoises in tiles, to the same bits. They
 overlap: two of 2048 x 2048 pixels cost 1.09 times what they would at once, four 1.18 times."""
+KEPT = 1 << 18  # pixels: up to so many a filter keeps its memory for the next picture; made anew it takes 15 ms
 MARGIN = 3  # pixels round where an object was to be seen in which `all` may have taken some of its colour
 SEAM = 3  # pixels round a change within which the clean pictures of a variant and of `all` are blended
 
@@ -278,11 +279,6 @@ def _denoiser(threads: int) -> _Denoiser:
     return _Denoiser(threads)
 
 
-def forget_filters() -> None:
-    """Give back the memory that filters keep for the next picture."""
-    _denoiser.cache_clear()
-
-
 def _denoise(
     stack: LayerStack, light: int, box: Box | None, scale: float, *, threads: int, smaller: bool = False
 ) -> Float32:
@@ -301,4 +297,6 @@ def _denoise(
         denoiser.set_image(name, np.ascontiguousarray(image))
     denoiser.input_scale = scale
     denoiser.execute()
+    if layer[..., 0].size > KEPT:
+        _denoiser.cache_clear()
     return np.maximum(clean, 0.0)

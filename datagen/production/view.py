@@ -13,7 +13,6 @@ from multilight.datagen.production.denoise import (
     denoise_foreground,
     denoise_without,
     foreground_layers,
-    forget_filters,
 )
 from multilight.datagen.production.stopwatch import Stopwatch
 from multilight.datagen.storage.halves import Halves, in_planes
@@ -101,7 +100,6 @@ def _kept(layers: Iterable[tuple[str, Float32]], shelf: Shelf | None) -> Mapping
         return dict(layers)
     found = {}
     for name, values in layers:
-        forget_filters()
         found[name] = [shelf.keep(np.stack(in_planes(layer))) for layer in values]
         shelf.rest()
     return Halves(found)

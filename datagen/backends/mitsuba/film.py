@@ -58,6 +58,9 @@ class Film:
             add(self._sums, key, sums)
             if key in squares:
                 add(self._squares, key, [sum(dr.square(channel) for channel in sums)])
+        self._rest()
+
+    def _rest(self) -> None:
         if self._shelf is not None:
             self._shelf.rest()
 
@@ -70,6 +73,7 @@ class Film:
         means = np.empty((len(sums) // 3, *self._shape, 3), np.float32)
         for place, channel in enumerate(sums):
             means[place // 3, ..., place % 3] = (channel / samples).reshape(self._shape)
+        self._rest()
         return means
 
     def take(self, key: Key) -> Float32:
@@ -86,6 +90,7 @@ class Film:
         """
         sums = [on_device(mi.Float, channel) for channel in self._sums[key]]
         squares = on_device(mi.Float, self._squares[key][0])
+        self._rest()
         spread = dr.maximum(squares - sum(dr.square(channel) for channel in sums) / blocks, 0) / (blocks - 1)
         return np.array(sum(sums) / blocks).reshape(self._shape), np.array(spread).reshape(self._shape)
 
