@@ -13,7 +13,7 @@ from multilight.scenes.errors import MultilightError
 from multilight.scenes.frozen import Frozen
 from multilight.scenes.spec import Camera, SceneSpec
 
-LARGE = 1 << 20
+LARGE = 1 << 19
 """Pixels of a picture above which memory is saved: sums over its samples, and its layers, wait on disk meanwhile."""
 
 

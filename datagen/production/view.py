@@ -102,7 +102,7 @@ def _kept(layers: Iterable[tuple[str, Float32]], shelf: Shelf | None) -> Mapping
     for name, values in layers:
         found[name] = [shelf.keep(np.stack(in_planes(layer))) for layer in values]
         shelf.rest()
-    return Halves(found)
+    return Halves(found, shelf.rest)
 
 
 def _put(stack: LayerStack, shelf: Shelf | None) -> LayerStack:

@@ -1,6 +1,6 @@
 """Layers in half the memory: kept as files hold them, made float32 each time that they are asked for."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,13 +14,16 @@ Planes = Sequence[NDArray[Any]]
 
 
 class Halves(Mapping[str, Float32]):
-    """Layers (L, H, W, 3) by variant, each in half precision unless it would overflow."""
+    """Layers (L, H, W, 3) by variant, each in half precision unless it would overflow.
 
-    def __init__(self, layers: Mapping[str, Sequence[Planes]]) -> None:
-        self._layers = layers
+    `rest` is called before a variant is looked at, to give back the memory of others.
+    """
+
+    def __init__(self, layers: Mapping[str, Sequence[Planes]], rest: Callable[[], None] | None = None) -> None:
+        self._layers, self._rest = layers, rest
 
     def __getitem__(self, variant: str) -> Float32:
-        layers = self._layers[variant]
+        layers = self.planes(variant)
         joined = np.empty((len(layers), *layers[0][0].shape, len(layers[0])), np.float32)
         for number, planes in enumerate(layers):
             for channel, plane in enumerate(planes):
@@ -35,6 +38,8 @@ class Halves(Mapping[str, Float32]):
 
     def planes(self, variant: str) -> Sequence[Planes]:
         """Return the planes of each layer."""
+        if self._rest is not None:
+            self._rest()
         return self._layers[variant]
 
 

@@ -131,10 +131,11 @@ def _stored(view: ViewData, made: ViewData) -> Iterator[str]:
 
 
 def _finite(view: ViewData) -> Iterator[str]:
-    for variant, layers in (*view.variants.items(), *((f"raw {name}", raw) for name, raw in view.raw.items())):
-        for light, layer in zip(view.lights, layers, strict=True):
-            if not np.isfinite(layer).all() or layer.min() < 0:
-                yield f"{variant}.{light} holds NaN, infinite or negative radiance"
+    for prefix, variants in (("", view.variants), ("raw ", view.raw)):
+        for variant in variants:
+            for light, planes in zip(view.lights, stored_layers(variants, variant), strict=True):
+                if not all(np.isfinite(plane).all() and plane.min() >= 0 for plane in planes):
+                    yield f"{prefix}{variant}.{light} holds NaN, infinite or negative radiance"
     if not np.isfinite(view.geometry.z_depth).all() or view.geometry.z_depth.min() < 0:
         yield "z_depth holds NaN, infinite or negative values"
     lengths = np.linalg.norm(view.geometry.normal_world, axis=-1)[view.geometry.instance_id > 0]
