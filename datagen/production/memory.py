@@ -17,7 +17,7 @@ START, START_LARGE = 0.72e9, 0.55e9
 KEPT, HALF = 2.05e9, 14
 """Bytes of meshes and textures that are kept after very many scenes, and after how many half of them are."""
 FILTER = 700
-"""Bytes a pixel that the denoiser takes; of pictures for which that is above `MOST_MEMORY` it takes a part at a time."""
+"""Bytes a pixel that the denoiser takes; a picture for which that is above `MOST_MEMORY` it takes in parts."""
 LIGHTS = 5
 """Lights that most scenes have at most, where the configuration allows more."""
 COPIES, COPIES_LARGE = 5.2, 0.6
