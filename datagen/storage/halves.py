@@ -16,7 +16,7 @@ Planes = Sequence[NDArray[Any]]
 class Halves(Mapping[str, Float32]):
     """Layers (L, H, W, 3) by variant, each in half precision unless it would overflow.
 
-    `rest` is called before a variant is looked at, to give back the memory of others.
+    `rest` gives back the memory of what was looked at; it is called before another variant is.
     """
 
     def __init__(self, layers: Mapping[str, Sequence[Planes]], rest: Callable[[], None] | None = None) -> None:
@@ -38,9 +38,13 @@ class Halves(Mapping[str, Float32]):
 
     def planes(self, variant: str) -> Sequence[Planes]:
         """Return the planes of each layer."""
+        self.rest()
+        return self._layers[variant]
+
+    def rest(self) -> None:
+        """Give back the memory of what was looked at, where it can be read again."""
         if self._rest is not None:
             self._rest()
-        return self._layers[variant]
 
 
 def stored_layers(variants: Mapping[str, Float32], variant: str) -> Iterator[Planes]:

@@ -126,6 +126,9 @@ def write_view(path: Path, view: ViewData) -> None:
     parts.append(_part("geometry", buffers + coverage))
     path.parent.mkdir(parents=True, exist_ok=True)
     OpenEXR.File(parts).write(str(path))
+    for variants in (view.variants, view.raw):
+        if isinstance(variants, Halves):
+            variants.rest()
 
 
 def write_exr(path: Path, channels: Mapping[str, NDArray[np.generic]]) -> None:
