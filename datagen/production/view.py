@@ -15,7 +15,7 @@ from multilight.datagen.production.denoise import (
     foreground_layers,
 )
 from multilight.datagen.production.stopwatch import Stopwatch
-from multilight.datagen.storage.halves import Halves, in_planes
+from multilight.datagen.storage.halves import Halves, Planes, in_planes
 from multilight.datagen.storage.layers import LayerStack
 from multilight.datagen.storage.object_variants import ALL, Variant
 from multilight.datagen.storage.records import LayerEnergy, Residuals
@@ -98,9 +98,9 @@ def _kept(layers: Iterable[tuple[str, Float32]], shelf: Shelf | None) -> Mapping
     """Keep layers by variant; those of a large picture, which are made one after the other, as they will be stored."""
     if shelf is None:
         return dict(layers)
-    found = {}
+    found: dict[str, Sequence[Planes]] = {}
     for name, values in layers:
-        found[name] = [shelf.keep(np.stack(in_planes(layer))) for layer in values]
+        found[name] = [list(shelf.keep(np.stack(in_planes(layer)))) for layer in values]
         shelf.rest()
     return Halves(found, shelf.rest)
 
@@ -109,8 +109,14 @@ def _put(stack: LayerStack, shelf: Shelf | None) -> LayerStack:
     """Put the pictures of a stack on the shelf, if there is one."""
     if shelf is None:
         return stack
-    named = {name: getattr(stack, name) for name in ("radiance", "combined", "guide_albedo", "guide_normal")}
-    kept = replace(stack, **{name: values if values is None else shelf.keep(values) for name, values in named.items()})
+    albedo, normal = stack.guide_albedo, stack.guide_normal
+    kept = replace(
+        stack,
+        radiance=shelf.keep(stack.radiance),
+        combined=shelf.keep(stack.combined),
+        guide_albedo=None if albedo is None else shelf.keep(albedo),
+        guide_normal=None if normal is None else shelf.keep(normal),
+    )
     shelf.rest()
     return kept
 
