@@ -9,7 +9,7 @@ from importlib.metadata import version
 from inspect import cleandoc
 from typing import Any
 
-from multilight.datagen.commands import dataset, export, import_scene, inspect, installed, pack, plan, query
+from multilight.datagen.commands import dataset, export, import_scene, inspect, installed, merge, pack, plan, query
 from multilight.datagen.commands.arguments import UsageError, parsed
 from multilight.datagen.commands.terminal import (
     PIPE_BROKEN,
@@ -32,10 +32,10 @@ LONGEST_WORD = 4096
 LARGEST_NUMBER = 2**53
 """The largest whole number that every library takes, as a float as well."""
 STOPPED, GOES_ON = "stopped", "; the same command goes on where it was"
-CONTINUED = ("dataset", "scene", "import", "pack", "export", "train", "ablate")
+CONTINUED = ("dataset", "scene", "import", "merge", "pack", "export", "train", "ablate")
 """Commands that go on where they were stopped."""
 GROUPS = {
-    "make": ("dataset", "scene", "import", "plan"),
+    "make": ("dataset", "scene", "import", "plan", "merge"),
     "look": ("view", "verify", "mix", "sheet", "stats", "query"),
     "share": ("export", "pack"),
     "learn": ("train", "evaluate", "ablate", "study"),
@@ -57,6 +57,7 @@ COMMANDS: dict[str, type] = {
     "dataset": dataset.Dataset,
     "scene": dataset.Scene,
     "plan": plan.Plan,
+    "merge": merge.Merge,
     "verify": inspect.Verify,
     "view": inspect.View,
     "mix": inspect.Mix,

@@ -173,15 +173,10 @@ def _open_record(plan: Plan, renderer: RendererName) -> DatasetRecord:
             f"{plan.root} was made with Mitsuba's variant 'scalar_rgb', which is gone and looks different; "
             "it can be read, but not continued: use another --out"
         )
-    old, new = record.config.model_dump(), plan.config.model_dump()
-
-    def differs(key: str) -> bool:
-        same = key == "background" and same_background(record, plan.config.background)
-        return key not in ("scenes", "renderer") and old[key] != new[key] and not same
-
-    if other := [key for key in old if differs(key)]:
+    same = same_background(record, plan.config.background)
+    if other := record.other_settings(plan.config, same_background=same):
         raise UserError(
-            f"{plan.root} was made with {', '.join(f'{key} = {old[key]!r}, not {new[key]!r}' for key in other)}; "
+            f"{plan.root} was made with {', '.join(other)}; "
             "leave that away to continue it as it is, or use another --out"
         )
     if plan.config.scenes > record.config.scenes:

@@ -224,6 +224,16 @@ class DatasetRecord(Schema):
     index_rows: Annotated[int, Field(ge=0)] = 0
     thrown_away: dict[str, int] = Field(default_factory=dict)
 
+    def other_settings(self, config: DatasetConfig, *, same_background: bool) -> list[str]:
+        """Say in what another configuration makes other scenes: `seed = 7, not 8`; a dataset may grow."""
+        mine, theirs = self.config.model_dump(), config.model_dump()
+        free = {"scenes", "renderer", *(("background",) if same_background else ())}
+        return [
+            f"{key} = {mine[key]!r}, not {theirs[key]!r}"
+            for key in mine
+            if mine[key] != theirs[key] and key not in free
+        ]
+
     def misfit(self, record: SceneRecord) -> str:
         """Say in what a scene's record is not of this dataset, or nothing.
 
