@@ -9,7 +9,18 @@ from importlib.metadata import version
 from inspect import cleandoc
 from typing import Any
 
-from multilight.datagen.commands import dataset, export, import_scene, inspect, installed, merge, pack, plan, query
+from multilight.datagen.commands import (
+    dataset,
+    export,
+    import_scene,
+    inspect,
+    installed,
+    merge,
+    pack,
+    plan,
+    query,
+    status,
+)
 from multilight.datagen.commands.arguments import UsageError, parsed
 from multilight.datagen.commands.terminal import (
     PIPE_BROKEN,
@@ -36,7 +47,7 @@ CONTINUED = ("dataset", "scene", "import", "merge", "pack", "export", "train", "
 """Commands that go on where they were stopped."""
 GROUPS = {
     "make": ("dataset", "scene", "import", "plan", "merge"),
-    "look": ("view", "verify", "mix", "sheet", "stats", "query"),
+    "look": ("status", "view", "verify", "mix", "sheet", "stats", "query"),
     "share": ("export", "pack"),
     "learn": ("train", "evaluate", "ablate", "study"),
     "use on your own pictures": ("harmonize", "insert"),
@@ -58,6 +69,7 @@ COMMANDS: dict[str, type] = {
     "scene": dataset.Scene,
     "plan": plan.Plan,
     "merge": merge.Merge,
+    "status": status.Status,
     "verify": inspect.Verify,
     "view": inspect.View,
     "mix": inspect.Mix,

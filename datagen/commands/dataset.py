@@ -71,6 +71,8 @@ class _Options(Settings):
 
     out: Path
     """Folder of the dataset; made where it is missing, continued where it is there."""
+    log_json: Path | None = None
+    """Add what happens to a file, a line of JSON an event: runs, scenes made and failed, why work stopped."""
 
     def continued(self, **more: object) -> DatasetConfig:
         """Return what to make: what is given, over the dataset's own settings where it is there, else the defaults."""
@@ -97,12 +99,15 @@ class Dataset(_Options):
 
     def run(self) -> int:
         """Make what is missing and return the exit code."""
+        from multilight.datagen.commands.output import logged
+
         config = self.continued()
         indices = tuple(range(config.scenes))
         shard = None if self.shard is None else parse_shard(self.shard, os.environ)
-        return make_scenes(
-            self.out, config, indices, workers=self.workers, assets=self.folders, repair=self.repair, shard=shard
-        )
+        with logged(self.log_json):
+            return make_scenes(
+                self.out, config, indices, workers=self.workers, assets=self.folders, repair=self.repair, shard=shard
+            )
 
 
 @dataclass(kw_only=True)
@@ -114,10 +119,13 @@ class Scene(_Options):
 
     def run(self) -> int:
         """Make the scene and return the exit code."""
+        from multilight.datagen.commands.output import logged
+
         if self.index < 0:
             raise UserError(f"--index {self.index} must be 0 or more")
         config = self.continued(scenes=self.index + 1)
-        return make_scenes(self.out, config, (self.index,), workers=1, assets=self.folders)
+        with logged(self.log_json):
+            return make_scenes(self.out, config, (self.index,), workers=1, assets=self.folders)
 
 
 def make_scenes(

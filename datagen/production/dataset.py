@@ -16,7 +16,7 @@ from multilight.datagen.production.drivers import Driver
 from multilight.datagen.production.finishing import finish, survey
 from multilight.datagen.production.library import check_library, located, same_background
 from multilight.datagen.production.running import PATIENCE, Plan, Work, run_scenes
-from multilight.datagen.report import Report
+from multilight.datagen.report import Report, event
 from multilight.datagen.storage.address import find_place
 from multilight.datagen.storage.blocks import read_blocks
 from multilight.datagen.storage.records import GHOSTS, DatasetRecord, ImportAccount
@@ -91,6 +91,7 @@ def _made(plan: Plan, work: Work, library: AssetLibrary | None, record: DatasetR
     missing = tuple(i for i in wanted if i not in there.sound)
     further = () if plan.shard is None else tuple(i for i in plan.indices if i not in there.sound)
     failures: dict[int, str] = {}
+    event("run begins", out=str(plan.root), scenes=len(wanted), missing=len(missing), workers=plan.workers)
     if missing or further:
         for index, reason in there.damaged.items():
             print(f"scene {index} is damaged and made anew: {reason}", file=sys.stderr)
@@ -103,6 +104,7 @@ def _made(plan: Plan, work: Work, library: AssetLibrary | None, record: DatasetR
         if {*missing, *further} - work.made.keys():  # of what runs made that were killed, nobody has written the rows
             now = read_dataset(plan.root)
             finish(plan.root, survey(plan.root, now, read_blocks(find_place(plan.root), now), contents=False))
+    event("run ends", made=len(work.made), failed=len(failures), scenes=len(there.sound))
     return Outcome(
         made=tuple(work.made),
         kept=len(wanted) - len(missing),

@@ -1,7 +1,8 @@
 """Several runs on one folder: which of them live, and which scene is in whose hands.
 
 A run has a file of its own, `.drivers/TOKEN`, which is locked while it lives (the kernel lets go with the process) and
-touched every few seconds, for other machines to see. `.drivers/000123` holds the token of the run that makes a scene.
+touched every few seconds, for other machines to see; `.drivers/TOKEN.json` says what it does. `.drivers/000123` holds
+the token of the run that makes a scene.
 A mark, `.drivers/shard-2-8`, says that a part was begun: those who are done with their own help with begun ones only.
 
 Claims save work, nothing hangs on them: a scene is the same whoever makes it, and gets its name whole or not at all. So
@@ -15,6 +16,7 @@ import shutil
 import threading
 import time
 import uuid
+from collections.abc import Callable
 from pathlib import Path
 from typing import IO
 
@@ -40,6 +42,7 @@ class Driver:
         for path in (*self._folder.glob("?" * len(self.token)), *self._folder.glob(".*.tmp*")):
             if not self.lives(path.name):
                 path.unlink(missing_ok=True)
+                path.with_suffix(".json").unlink(missing_ok=True)
         if not self.others():
             shutil.rmtree(root / "logs", ignore_errors=True)
         for path in root.glob("work/*"):
@@ -49,7 +52,14 @@ class Driver:
         if shard is not None:
             (self._folder / f"shard-{shard.number}-{shard.count}").touch()
         self._over = threading.Event()
-        threading.Thread(target=self._beat, daemon=True).start()
+        self._state: Callable[[], str] = str
+        self._beating = threading.Thread(target=self._beat, daemon=True)
+        self._beating.start()
+
+    def tells(self, state: Callable[[], str]) -> None:
+        """Have the run's state written with each sign of life, for others to see."""
+        self._state = state
+        self._tell()
 
     def claim(self, scene: int) -> bool:
         """Take a scene in hand; not if a run that lives has it."""
@@ -82,7 +92,9 @@ class Driver:
     def leave(self) -> None:
         """Leave; the last one takes with it what only served the work. To be called under the folder's lock."""
         self._over.set()
+        self._beating.join()
         (self._folder / self.token).unlink(missing_ok=True)
+        (self._folder / f"{self.token}.json").unlink(missing_ok=True)
         self._file.close()
         for path in self._root.glob(f"work/*-{self.token}"):
             shutil.rmtree(path, ignore_errors=True)
@@ -128,6 +140,11 @@ class Driver:
         while not self._over.wait(BEAT):
             with contextlib.suppress(OSError):
                 os.utime(self._folder / self.token)
+            self._tell()
+
+    def _tell(self) -> None:
+        with contextlib.suppress(OSError), write_whole(self._folder / f"{self.token}.json") as work:
+            work.write_text(self._state(), encoding="utf-8")
 
 
 def _machine() -> str:

@@ -1,5 +1,6 @@
 """How much memory a worker takes, and how many of them fit into what there is."""
 
+import contextlib
 import os
 import sys
 from pathlib import Path
@@ -30,6 +31,16 @@ def free_bytes() -> int:
     free = next(int(kib) * 1024 for name, kib, *_ in lines if name == "MemAvailable:")
     limits = (Path(name).read_text(encoding="ascii").strip() for name in LIMITS if Path(name).is_file())
     return min([free, *(int(limit) for limit in limits if limit.isdigit())])
+
+
+def used_bytes() -> int:
+    """Return the memory that this process and its children take."""
+    children = (path.read_text(encoding="ascii").split() for path in Path("/proc/self/task").glob("*/children"))
+    total = 0
+    for process in ("self", *(child for told in children for child in told)):
+        with contextlib.suppress(OSError):  # it has ended meanwhile
+            total += int(Path(f"/proc/{process}/statm").read_text(encoding="ascii").split()[1])
+    return total * os.sysconf("SC_PAGE_SIZE")
 
 
 def default_workers(scenes: int, config: DatasetConfig) -> int:

@@ -22,8 +22,9 @@ from multilight.datagen.files.locks import locked
 from multilight.datagen.production.drivers import Driver
 from multilight.datagen.production.finishing import Survey, finish
 from multilight.datagen.production.shards import Shard
+from multilight.datagen.production.status import state_here
 from multilight.datagen.production.worker import WorkerReport, WorkerSetup, log_path, run_scene
-from multilight.datagen.report import Report
+from multilight.datagen.report import Report, event
 from multilight.datagen.storage.store import scene_dir
 
 AHEAD = 2
@@ -82,6 +83,10 @@ class Work:
         self.made[index] = told.row["views"], told.row["bytes"]
         self.broken.update(told.broken)
         self.thrown_away.extend(told.thrown_away)
+        event(
+            "scene made", scene=index, views=told.row["views"], bytes=told.row["bytes"], seconds=told.seconds,
+            thrown_away=told.thrown_away,
+        )  # fmt: skip
         for stage, seconds in told.seconds.items():
             self.seconds[stage] = self.seconds.get(stage, 0.0) + seconds
 
@@ -170,7 +175,11 @@ def _collect(work: Work, hand: _Hand, pool: ProcessPool, setup: WorkerSetup, mos
     plan, driver = work.plan, work.driver
     failures: dict[int, str] = {}
     waiting: dict[ProcessFuture, int] = {}
-    total, done, finished = len(hand.own) * plan.config.views, 0, time.monotonic()
+    begun = finished = time.monotonic()
+    total, done = len(hand.own) * plan.config.views, 0
+    driver.tells(lambda: state_here(
+        plan.root, begun, workers=most // AHEAD, made=len(work.made), in_work=tuple(waiting.values()), failed=failures
+    ).model_dump_json())  # fmt: skip
     while True:
         while len(waiting) < most and (index := hand.next()) is not None:
             args = (setup, index, index in work.there.damaged)
@@ -186,10 +195,12 @@ def _collect(work: Work, hand: _Hand, pool: ProcessPool, setup: WorkerSetup, mos
             index = waiting.pop(future)
             if (reason := _failure(work, index, future)) is not None and not hand.made(index):
                 failures[index] = reason
+                event("scene failed", scene=index, reason=reason)
             driver.release(index)
         if time.monotonic() - finished > BETWEEN:
             with locked(plan.root, PATIENCE):
                 finish(plan.root, work.there)
+            event("index written", scenes=len(work.there.sound))
             finished = time.monotonic()
         # Not pathlib's glob, which fails where a folder goes away meanwhile.
         in_work = len(glob.glob(f"work/*-{driver.token}/views/*.exr", root_dir=plan.root))
