@@ -15,6 +15,7 @@ from multilight.datagen.config.dataset import DatasetConfig, Denoise, Kind, Rend
 from multilight.datagen.config.presets import Preset
 from multilight.datagen.errors import UserError
 from multilight.datagen.production.shards import Shard, parse_shard
+from multilight.datagen.storage.address import without_password
 from multilight.datagen.text import duration, plain, size
 
 if TYPE_CHECKING:
@@ -69,8 +70,8 @@ class Settings:
 class _Options(Settings):
     """What `dataset` and `scene` share besides."""
 
-    out: Path
-    """Folder of the dataset; made where it is missing, continued where it is there."""
+    out: str
+    """Folder or address (s3://bucket/set) of the dataset; made where it is missing, continued where it is there."""
     log_json: Path | None = None
     """Add what happens to a file, a line of JSON an event: runs, scenes made and failed, why work stopped."""
 
@@ -129,7 +130,7 @@ class Scene(_Options):
 
 
 def make_scenes(
-    out: Path,
+    out: str | Path,
     config: DatasetConfig,
     indices: tuple[int, ...],
     *,
@@ -142,16 +143,20 @@ def make_scenes(
     from multilight.datagen.commands.doctor import slow_note
     from multilight.datagen.commands.output import progress
     from multilight.datagen.production.dataset import make_dataset
+    from multilight.datagen.production.homes import local_folder
     from multilight.datagen.production.memory import default_workers
     from multilight.datagen.production.running import Plan
 
-    if out.is_symlink() and not out.exists():
-        raise UserError(f"--out {out} is a link that leads nowhere (to {out.readlink()}); make that folder first")
+    folder = local_folder(out)
+    if folder is not None and folder.is_symlink() and not folder.exists():
+        raise UserError(f"--out {out} is a link that leads nowhere (to {folder.readlink()}); make that folder first")
     if workers is not None and workers < 1:
         raise UserError(f"--workers {workers} must be 1 or more")
     if note := slow_note(config.renderer):
         print(note, file=sys.stderr)
-    plan = Plan(out, config, indices, workers or default_workers(len(indices), config), assets, repair, shard)
+    address = str(out) if folder is None else ""
+    workers = workers or default_workers(len(indices), config)
+    plan = Plan(folder or Path(), config, indices, workers, assets, repair, shard, address)
     start = time.monotonic()
     with progress("views", "starting") as report:
         outcome = make_dataset(plan, report)
@@ -163,7 +168,7 @@ def make_scenes(
         print(f"scene {index} is not what it was: assets or versions are others now", file=sys.stderr)
     for index, reason in outcome.failures.items():
         print(plain(f"failed: scene {index}: {reason}"), file=sys.stderr)
-    print(plain(f"{out}: " + summary(plan, outcome, time.monotonic() - start)))
+    print(plain(f"{without_password(out)}: " + summary(plan, outcome, time.monotonic() - start)))
     return 1 if outcome.failures else 0
 
 
@@ -176,6 +181,7 @@ def summary(plan: "Plan", outcome: "Outcome", seconds: float) -> str:
         f"{len(outcome.made)} made, {outcome.kept} kept"
         + f", {outcome.others} made by other runs" * bool(outcome.others)
         + f", {len(outcome.failures)} failed" * bool(outcome.failures)
+        + f", {outcome.retried} requests tried again" * bool(outcome.retried)
     ]
     told.append(f"{outcome.views} views, {size(outcome.size)}")
     spent = sum(outcome.seconds.values()) or 1.0

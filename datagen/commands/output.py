@@ -14,7 +14,6 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from multilight.datagen.errors import reason_of
 from multilight.datagen.files.outputs import check_file
 from multilight.datagen.report import LOG, Report, event
 from multilight.datagen.storage.open_dataset import repair_command
@@ -140,7 +139,10 @@ class _Lines(logging.FileHandler):
 
     def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802  (the library's name)
         LOG.removeHandler(self)
-        print(plain(f"{self.baseFilename} cannot be written: {reason_of(sys.exc_info()[1])}"), file=sys.stderr)
+        print(
+            plain(f"{self.baseFilename} cannot be written: {getattr(sys.exc_info()[1], 'strerror', None)}"),
+            file=sys.stderr,
+        )
 
 
 @contextlib.contextmanager

@@ -11,16 +11,22 @@ from multilight.datagen.backends.choose import resolve_renderer
 from multilight.datagen.backends.machine.mitsuba_variant import choose_variant
 from multilight.datagen.config.dataset import DatasetConfig, RendererName
 from multilight.datagen.errors import StoreError, UserError, full_disk_told
-from multilight.datagen.files.locks import locked
-from multilight.datagen.production.drivers import Driver
-from multilight.datagen.production.finishing import finish, survey
+from multilight.datagen.production.homes import Home, open_home
 from multilight.datagen.production.library import check_library, located, same_background
-from multilight.datagen.production.running import PATIENCE, Plan, Work, run_scenes
+from multilight.datagen.production.running import Plan, Work, run_scenes
 from multilight.datagen.report import Report, event
 from multilight.datagen.storage.address import find_place
-from multilight.datagen.storage.blocks import read_blocks
 from multilight.datagen.storage.records import GHOSTS, DatasetRecord, ImportAccount
-from multilight.datagen.storage.store import COPIES, read_dataset, read_scene, scene_dir, scene_indices, write_text
+from multilight.datagen.storage.store import (
+    COPIES,
+    MOST_RECORD,
+    parse_dataset,
+    read_dataset,
+    read_scene,
+    scene_dir,
+    scene_indices,
+    write_text,
+)
 from multilight.datagen.verification.dataset import ANEW
 from multilight.scenes.assets.cache import check_cache, file_digest
 from multilight.scenes.assets.check import MODELS
@@ -38,7 +44,7 @@ class Outcome:
     `changed` are scenes that were damaged and came out otherwise than the index states; `seconds` maps each stage to
     the time it took, over all workers; `thrown_away` are the reasons of the draws that failed a check and were drawn
     anew; `views` and `size` are the number and the bytes of the views that were made, `others` the scenes that other
-    runs on the folder made meanwhile.
+    runs on the folder made meanwhile, `retried` the requests to a bucket that were tried again.
     """
 
     made: tuple[int, ...]
@@ -51,6 +57,7 @@ class Outcome:
     views: int = 0
     size: int = 0
     others: int = 0
+    retried: int = 0
 
 
 def make_dataset(plan: Plan, report: Report) -> Outcome:
@@ -61,27 +68,27 @@ def make_dataset(plan: Plan, report: Report) -> Outcome:
     """
     renderer = resolve_renderer(plan.config.renderer)
     _check_kind(plan.config, renderer)
-    plan = replace(plan, config=located(plan.config, plan.root))
     if renderer != "analytic":
         check_cache()
-    library = check_library(plan.config, plan.asset_folders)
-    with full_disk_told(plan.root):
-        with locked(plan.root, PATIENCE):
-            record = _open_record(plan, renderer)
-            if library is not None and (said := _accounts(library)) != record.imports:
-                record = record.model_copy(update={"imports": said}).sealed()
-                write_text(plan.root / "dataset.json", record.model_dump_json(indent=1))
-            for leftover in plan.root.glob(".*.tmp*"):
-                leftover.unlink()
-            driver = Driver(plan.root, plan.shard)
-            index = read_blocks(find_place(plan.root), record)
-        try:
-            report(0, 0, "looking at what is there")
-            there = survey(plan.root, record, index, contents=plan.repair)
-            return _made(plan, Work(plan, renderer, there, driver, report), library, record)
-        finally:
-            with contextlib.suppress(UserError), locked(plan.root, PATIENCE):  # on a full disk there may be no lock
-                driver.leave()
+    with open_home(plan.root, plan.address) as home:
+        plan = replace(plan, config=located(plan.config, home.root), root=home.root)
+        library = check_library(plan.config, plan.asset_folders)
+        with full_disk_told(plan.root):
+            with home.held():
+                record = _open_record(plan, renderer, home)
+                if library is not None and (said := _accounts(library)) != record.imports:
+                    record = record.model_copy(update={"imports": said}).sealed()
+                    write_text(plan.root / "dataset.json", record.model_dump_json(indent=1))
+                for leftover in plan.root.glob(".*.tmp*"):
+                    leftover.unlink()
+                driver = home.join(plan.shard)
+            try:
+                report(0, 0, "looking at what is there")
+                there = home.survey(contents=plan.repair)
+                return _made(plan, Work(plan, renderer, there, home, driver, report), library, record)
+            finally:
+                with contextlib.suppress(UserError), home.held():  # on a full disk there may be no lock
+                    driver.leave()
 
 
 def _made(plan: Plan, work: Work, library: AssetLibrary | None, record: DatasetRecord) -> Outcome:
@@ -99,11 +106,11 @@ def _made(plan: Plan, work: Work, library: AssetLibrary | None, record: DatasetR
             _check_makers(record, plan)
         work.broken.update({} if library is None else _broken_models(library))
         failures = run_scenes(work, missing, further)
-    with locked(plan.root, PATIENCE):
-        finish(plan.root, there)
+    home = work.home
+    with home.held():
+        home.finish(there)
         if {*missing, *further} - work.made.keys():  # of what runs made that were killed, nobody has written the rows
-            now = read_dataset(plan.root)
-            finish(plan.root, survey(plan.root, now, read_blocks(find_place(plan.root), now), contents=False))
+            home.finish(home.survey(contents=False))
     event("run ends", made=len(work.made), failed=len(failures), scenes=len(there.sound))
     return Outcome(
         made=tuple(work.made),
@@ -115,16 +122,16 @@ def _made(plan: Plan, work: Work, library: AssetLibrary | None, record: DatasetR
         thrown_away=tuple(work.thrown_away),
         views=sum(views for views, _ in work.made.values()),
         size=sum(size for _, size in work.made.values()),
+        retried=len(work.retried) + len(home.retried),
         others=len(set(missing) - work.made.keys() - failures.keys()),
     )
 
 
-def settings_of(root: Path) -> dict[str, Any]:
-    """Return what the dataset in a folder was made with, to be continued so; nothing where there is none."""
-    if (root / "dataset.json").exists():
-        with contextlib.suppress(StoreError):  # damaged: told where it is continued
-            record = read_dataset(root)
-            return record.config.model_dump(exclude={"renderer"}) | {"renderer": record.renderer}
+def settings_of(out: str | Path) -> dict[str, Any]:
+    """Return what the dataset in a folder or at an address was made with, to be continued so; nothing for none."""
+    with contextlib.suppress(StoreError):  # damaged: told where it is continued
+        record = parse_dataset(find_place(out).read("dataset.json", MOST_RECORD), "")
+        return record.config.model_dump(exclude={"renderer"}) | {"renderer": record.renderer}
     return {}
 
 
@@ -149,37 +156,36 @@ def _check_makers(record: DatasetRecord, plan: Plan) -> None:
         print(f"{plan.root} was made with {'; '.join(other)}: scenes may come out otherwise", file=sys.stderr)
 
 
-def _open_record(plan: Plan, renderer: RendererName) -> DatasetRecord:
+def _open_record(plan: Plan, renderer: RendererName, home: Home) -> DatasetRecord:
     """Write `dataset.json`, or check that what is there was made with the same configuration and renderer."""
-    path = plan.root / "dataset.json"
+    path, name = plan.root / "dataset.json", home.place.address
     variant = (choose_variant().variant or "") if renderer == "mitsuba" else ""
     if not path.exists() and not scene_indices(plan.root):
         if any(not p.name.startswith(".") for p in plan.root.iterdir()):
-            raise UserError(f"output folder {plan.root} holds other files and no dataset; choose an empty --out")
+            raise UserError(f"output folder {name} holds other files and no dataset; choose an empty --out")
         return _new_record(plan, renderer, variant)
-    if any((plan.root / name).exists() for name in COPIES):
-        raise UserError(f"{plan.root} is a packed copy or an export; the command that made it makes it anew")
+    if any(home.place.exists(file) for file in COPIES):
+        raise UserError(f"{name} is a packed copy or an export; the command that made it makes it anew")
     try:
         record = read_dataset(plan.root)
     except StoreError as error:
         return _restored_record(plan, renderer, variant, error)
     if record.schema_version <= GHOSTS:
-        raise UserError(f"{plan.root} cannot be continued or repaired: {ANEW}")
+        raise UserError(f"{name} cannot be continued or repaired: {ANEW}")
     if record.renderer != renderer:
         raise UserError(
-            f"{plan.root} was made with renderer {record.renderer!r} and cannot be continued with {renderer!r}; "
+            f"{name} was made with renderer {record.renderer!r} and cannot be continued with {renderer!r}; "
             f"use --renderer {record.renderer} or another --out"
         )
     if record.variant == "scalar_rgb":
         raise UserError(
-            f"{plan.root} was made with Mitsuba's variant 'scalar_rgb', which is gone and looks different; "
+            f"{name} was made with Mitsuba's variant 'scalar_rgb', which is gone and looks different; "
             "it can be read, but not continued: use another --out"
         )
     same = same_background(record, plan.config.background)
     if other := record.other_settings(plan.config, same_background=same):
         raise UserError(
-            f"{plan.root} was made with {', '.join(other)}; "
-            "leave that away to continue it as it is, or use another --out"
+            f"{name} was made with {', '.join(other)}; leave that away to continue it as it is, or use another --out"
         )
     if plan.config.scenes > record.config.scenes:
         grown = record.config.model_copy(update={"scenes": plan.config.scenes})

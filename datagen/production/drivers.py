@@ -63,22 +63,17 @@ class Driver:
 
     def claim(self, scene: int) -> bool:
         """Take a scene in hand; not if a run that lives has it."""
-        path = self._folder / f"{scene:06d}"
-        with contextlib.suppress(FileExistsError), path.open("x") as claim:
-            claim.write(self.token)
+        name = f"{scene:06d}"
+        if self._create(name) or (holder := self._read(name)) == self.token:
             return True
-        with contextlib.suppress(OSError):
-            if (holder := path.read_text()) == self.token:
-                return True
-            if not self.lives(holder):  # of two that see so at once, both may make the scene
-                with write_whole(path) as work:
-                    work.write_text(self.token)
-                return True
-        return False
+        if holder is None or self.lives(holder):
+            return False
+        self._write(name, self.token)  # of two that see so at once, both may make the scene
+        return True
 
     def release(self, scene: int) -> None:
         """Let go of a scene, made or not."""
-        (self._folder / f"{scene:06d}").unlink(missing_ok=True)
+        self._remove(f"{scene:06d}")
 
     def begun(self, shard: Shard) -> bool:
         """Whether a run of that part has ever been at work here."""
@@ -143,8 +138,27 @@ class Driver:
             self._tell()
 
     def _tell(self) -> None:
-        with contextlib.suppress(OSError), write_whole(self._folder / f"{self.token}.json") as work:
-            work.write_text(self._state(), encoding="utf-8")
+        if said := self._state():
+            self._write(f"{self.token}.json", said)
+
+    def _create(self, name: str) -> bool:
+        """Write the token into a file, unless there is one of that name."""
+        with contextlib.suppress(FileExistsError), (self._folder / name).open("x") as file:
+            file.write(self.token)
+            return True
+        return False
+
+    def _read(self, name: str) -> str | None:
+        with contextlib.suppress(OSError):
+            return (self._folder / name).read_text(encoding="utf-8")
+        return None
+
+    def _write(self, name: str, text: str) -> None:
+        with contextlib.suppress(OSError), write_whole(self._folder / name) as work:
+            work.write_text(text, encoding="utf-8")
+
+    def _remove(self, name: str) -> None:
+        (self._folder / name).unlink(missing_ok=True)
 
 
 def _machine() -> str:

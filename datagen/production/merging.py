@@ -11,7 +11,7 @@ from multilight.datagen.errors import StoreError, UserError, full_disk_told
 from multilight.datagen.files.locks import locked
 from multilight.datagen.production.drivers import Driver
 from multilight.datagen.production.finishing import Survey, finish, survey
-from multilight.datagen.production.running import PATIENCE
+from multilight.datagen.production.homes import PATIENCE
 from multilight.datagen.report import Report
 from multilight.datagen.storage.address import find_place
 from multilight.datagen.storage.blocks import joined, read_blocks

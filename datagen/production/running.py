@@ -1,6 +1,5 @@
 """Have worker processes make scenes, those that no other run on the folder has in hand."""
 
-import contextlib
 import glob
 import multiprocessing
 import os
@@ -18,21 +17,18 @@ from pebble import ProcessExpired, ProcessFuture, ProcessPool
 
 from multilight.datagen.config.dataset import DatasetConfig, RendererName
 from multilight.datagen.errors import RunStoppedError, UserError
-from multilight.datagen.files.locks import locked
 from multilight.datagen.production.drivers import Driver
-from multilight.datagen.production.finishing import Survey, finish
+from multilight.datagen.production.finishing import Survey
+from multilight.datagen.production.homes import Home
 from multilight.datagen.production.shards import Shard
 from multilight.datagen.production.status import state_here
 from multilight.datagen.production.worker import WorkerReport, WorkerSetup, log_path, run_scene
 from multilight.datagen.report import Report, event
-from multilight.datagen.storage.store import scene_dir
 
 AHEAD = 2
 """Scenes a worker that are handed out: the one in work, and the next."""
 BETWEEN = 60.0
 """Seconds from one writing of the index to the next, while scenes are made."""
-PATIENCE = 600.0
-"""Seconds to wait for another run that writes the index, which takes it a few."""
 SCENES_A_WORKER: dict[RendererName, int] = {"cycles": 25, "mitsuba": 50, "analytic": 1000}
 """Then a fresh process: a long-lived Blender grows. A fresh one has to read its meshes and textures anew."""
 SECONDS_A_MEGASAMPLE = 60.0  # a hundred times what a slow core needs; only a hung scene exceeds it
@@ -44,7 +40,8 @@ class Plan:
     """A run: where, what, which scenes, with how many processes.
 
     `repair` looks at the contents of what is there as well, not at names and sizes only. Of a `shard`, what is its own
-    comes first, then help with those that others have begun.
+    comes first, then help with those that others have begun. The dataset lies at an `address`, if that is given, and
+    `root` is where it is worked on.
     """
 
     root: Path
@@ -54,6 +51,7 @@ class Plan:
     asset_folders: tuple[Path, ...] = ()
     repair: bool = False
     shard: Shard | None = None
+    address: str = ""
 
 
 @dataclass(frozen=True)
@@ -66,6 +64,7 @@ class Work:
     plan: Plan
     renderer: RendererName
     there: Survey
+    home: Home
     driver: Driver
     report: Report
     broken: dict[str, str] = field(default_factory=dict)
@@ -73,6 +72,7 @@ class Work:
     changed: list[int] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=dict)
     thrown_away: list[str] = field(default_factory=list)
+    retried: list[str] = field(default_factory=list)
 
     def take(self, told: WorkerReport) -> None:
         """Count a scene in that was made."""
@@ -83,6 +83,9 @@ class Work:
         self.made[index] = told.row["views"], told.row["bytes"]
         self.broken.update(told.broken)
         self.thrown_away.extend(told.thrown_away)
+        self.retried.extend(told.retried)
+        for reason in told.retried:
+            event("request tried again", scene=index, reason=reason)
         event(
             "scene made", scene=index, views=told.row["views"], bytes=told.row["bytes"], seconds=told.seconds,
             thrown_away=told.thrown_away,
@@ -100,7 +103,7 @@ def run_scenes(work: Work, missing: Sequence[int], further: Sequence[int]) -> di
     workers = min(plan.workers, max(1, len(missing) + len(further)))
     threads = max(1, len(os.sched_getaffinity(0)) // workers)
     setup = WorkerSetup(
-        plan.config, work.renderer, plan.root, plan.asset_folders, threads, os.getpid(), work.driver.token
+        plan.config, work.renderer, plan.root, plan.asset_folders, threads, os.getpid(), work.driver.token, plan.address
     )
     pool = ProcessPool(
         max_workers=workers,
@@ -127,16 +130,22 @@ class _Hand:
 
     def __init__(self, work: Work, own: deque[int], further: deque[int]) -> None:
         self._work, self.own, self._further = work, own, further
-        self._before = {index: _folder(work.plan.root, index) for index in work.there.damaged}
+        self._before = {index: work.home.state(index) for index in work.there.damaged}
+        self._not_before = 0.0
 
     def next(self) -> int | None:
         """Claim a scene; None where all that are left are in others' hands."""
+        if time.monotonic() < self._not_before:
+            return None
         found = self._claimed(self.own)
-        return found if found is not None else self._claimed(self._further)
+        found = found if found is not None else self._claimed(self._further)
+        if found is None:
+            self._not_before = time.monotonic() + self._work.home.pause
+        return found
 
     def made(self, index: int) -> bool:
         """Whether a scene is there that was not, or was damaged, when this run began."""
-        return _folder(self._work.plan.root, index) not in (None, self._before.get(index))
+        return self._work.home.state(index) not in (None, self._before.get(index))
 
     def _claimed(self, left: deque[int]) -> int | None:
         shard, driver = self._work.plan.shard, self._work.driver
@@ -158,13 +167,6 @@ class _Hand:
             else:
                 left.append(index)
         return None
-
-
-def _folder(root: Path, index: int) -> int | None:
-    """Return what tells a scene's folder from any other that has its name before or after; None where there is none."""
-    with contextlib.suppress(OSError):
-        return scene_dir(root, index).stat().st_ino
-    return None
 
 
 def _collect(work: Work, hand: _Hand, pool: ProcessPool, setup: WorkerSetup, most: int) -> dict[int, str]:
@@ -198,8 +200,8 @@ def _collect(work: Work, hand: _Hand, pool: ProcessPool, setup: WorkerSetup, mos
                 event("scene failed", scene=index, reason=reason)
             driver.release(index)
         if time.monotonic() - finished > BETWEEN:
-            with locked(plan.root, PATIENCE):
-                finish(plan.root, work.there)
+            with work.home.held():
+                work.home.finish(work.there)
             event("index written", scenes=len(work.there.sound))
             finished = time.monotonic()
         # Not pathlib's glob, which fails where a folder goes away meanwhile.

@@ -5,7 +5,7 @@ import re
 import shutil
 import socket
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,6 +21,15 @@ from multilight.scenes.frozen import Frozen
 
 STATE = ".json"
 """What follows a run's token in the name of the file that holds its state."""
+
+
+RUN_GAUGES = {
+    "workers": "Worker processes of a run.",
+    "made": "Scenes that a run has made.",
+    "memory": "Bytes of memory of a run and its workers.",
+    "free_memory": "Bytes of memory free on its machine.",
+    "free_disk": "Bytes of disk free for its files.",
+}
 
 
 class RunState(Frozen):
@@ -120,36 +129,26 @@ def kind_of_failure(reason: str) -> str:
 
 def prometheus(status: Status) -> str:
     """Return a status in Prometheus' text format, https://prometheus.io/docs/instrumenting/exposition_formats/."""
+    lines: list[str] = []
+
+    def gauge(name: str, about: str, values: Iterable[tuple[dict[str, str], float]]) -> None:
+        lines.extend((f"# HELP multilight_{name} {about}", f"# TYPE multilight_{name} gauge"))
+        for labels, value in values:
+            told = ",".join(f'{key}="{_escaped(text)}"' for key, text in ({"dataset": status.address} | labels).items())
+            lines.append(f"multilight_{name}{{{told}}} {value:.15g}")
+
     scenes = {"wanted": status.scenes, "done": status.done, "in_work": status.in_work}
-    gauges: dict[str, tuple[str, dict[tuple[tuple[str, str], ...], float]]] = {
-        "scenes": ("Scenes by state.", {(("state", name),): count for name, count in scenes.items()}),
-        "scenes_failed": (
-            "Scenes that could not be made, by reason.",
-            {(("reason", reason),): len(failed) for reason, failed in status.failed.items()},
-        ),
-        "scenes_per_hour": ("Scenes made an hour, of all runs.", {(): status.per_hour}),
-        "seconds_left": (
-            "Seconds until all scenes are made.",
-            {} if status.seconds_left is None else {(): status.seconds_left},
-        ),
-        "runs": ("Runs at work.", {(): len(status.runs)}),
-    }
-    for name, about in (
-        ("workers", "Worker processes of a run."),
-        ("made", "Scenes that a run has made."),
-        ("memory", "Bytes of memory of a run and its workers."),
-        ("free_memory", "Bytes of memory free on its machine."),
-        ("free_disk", "Bytes of disk free for its files."),
-    ):
+    failed = ((({"reason": reason}), len(found)) for reason, found in status.failed.items())
+    gauge("scenes", "Scenes by state.", (({"state": state}, count) for state, count in scenes.items()))
+    gauge("scenes_failed", "Scenes that could not be made, by reason.", failed)
+    gauge("scenes_per_hour", "Scenes made an hour, of all runs.", [({}, status.per_hour)])
+    if status.seconds_left is not None:
+        gauge("seconds_left", "Seconds until all scenes are made.", [({}, status.seconds_left)])
+    gauge("runs", "Runs at work.", [({}, len(status.runs))])
+    for name, about in RUN_GAUGES.items():
         unit = "_bytes" if about.startswith("Bytes") else ""
-        labels = {(("host", run.host), ("process", str(run.process))): getattr(run, name) for run in status.runs}
-        gauges[f"run_{name}{unit}"] = (about, labels)
-    lines = []
-    for name, (about, values) in gauges.items():
-        lines += [f"# HELP multilight_{name} {about}", f"# TYPE multilight_{name} gauge"]
-        for labels, value in values.items():
-            told = ",".join(f'{key}="{_escaped(text)}"' for key, text in (("dataset", status.address), *labels))
-            lines.append(f"multilight_{name}{{{told}}} {value:g}")
+        values = (({"host": run.host, "process": str(run.process)}, getattr(run, name)) for run in status.runs)
+        gauge(f"run_{name}{unit}", about, values)
     return "\n".join(lines) + "\n"
 
 
