@@ -12,6 +12,7 @@ from multilight.datagen.commands.output import progress as shown
 from multilight.datagen.config.dataset import DatasetConfig, load_config
 from multilight.datagen.config.presets import PRESETS, Preset
 from multilight.datagen.errors import UserError
+from multilight.datagen.production.crew import limits_for
 from multilight.datagen.production.dataset import Outcome, make_dataset, settings_of
 from multilight.datagen.production.memory import default_workers
 from multilight.datagen.production.running import Plan
@@ -62,7 +63,7 @@ def make_scene(
     if type(index) is not int or index < 0:
         raise UserError(f"index {index!r} must be a whole number from 0 up")
     wanted = _configuration(Path(out), preset, config, {"scenes": index + 1} | settings)
-    return _made(Path(out), wanted, (index,), assets, 1, False, progress).scene(index)
+    return _made(Path(out), wanted, (index,), assets, 1, False, progress, retry=True).scene(index)
 
 
 def _configuration(
@@ -85,11 +86,13 @@ def _made(
     workers: int | None,
     repair: bool,
     progress: bool,
+    retry: bool = False,
 ) -> Dataset:
     if workers is not None and (type(workers) is not int or workers < 1):
         raise UserError(f"workers {workers!r} must be a whole number from 1 up")
     folders = tuple(Path(folder) for folder in ([assets] if isinstance(assets, str | Path) else assets))
-    plan = Plan(out, config, indices, workers or default_workers(len(indices), config), folders, repair)
+    count = workers or default_workers(len(indices), config)
+    plan = Plan(out, config, indices, count, limits_for(config), folders, repair, retry=retry)
     try:
         with _no_main(), shown("views", "starting") if progress else contextlib.nullcontext(silent) as report:
             outcome = make_dataset(plan, report)

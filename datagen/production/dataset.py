@@ -12,6 +12,7 @@ from multilight.datagen.backends.machine.mitsuba_variant import choose_variant
 from multilight.datagen.config.dataset import DatasetConfig, RendererName
 from multilight.datagen.errors import StoreError, UserError, full_disk_told
 from multilight.datagen.files.locks import locked
+from multilight.datagen.production.aside import aside_path, take_up, why_aside
 from multilight.datagen.production.drivers import Driver
 from multilight.datagen.production.finishing import finish, survey
 from multilight.datagen.production.library import check_library, located, same_background
@@ -35,6 +36,7 @@ VERSIONS = ("multilight", "bpy", "mitsuba", "drjit", "mitsuba-oidn", "OpenEXR", 
 class Outcome:
     """What a run did; `failures` maps a scene, `broken` an asset that was passed over, to one line of reason.
 
+    Scenes that failed are set aside; `tried_again` says of each failed try that was not the last why.
     `changed` are scenes that were damaged and came out otherwise than the index states; `seconds` maps each stage to
     the time it took, over all workers; `thrown_away` are the reasons of the draws that failed a check and were drawn
     anew; `views` and `size` are the number and the bytes of the views that were made, `others` the scenes that other
@@ -51,6 +53,7 @@ class Outcome:
     views: int = 0
     size: int = 0
     others: int = 0
+    tried_again: tuple[str, ...] = ()
 
 
 def make_dataset(plan: Plan, report: Report) -> Outcome:
@@ -78,7 +81,9 @@ def make_dataset(plan: Plan, report: Report) -> Outcome:
         try:
             report(0, 0, "looking at what is there")
             there = survey(plan.root, record, index, contents=plan.repair)
-            return _made(plan, Work(plan, renderer, there, driver, report), library, record)
+            return _made(
+                plan, Work(plan, renderer, record.variant.startswith("cuda"), there, driver, report), library, record
+            )
         finally:
             with contextlib.suppress(UserError), locked(plan.root, PATIENCE):  # on a full disk there may be no lock
                 driver.leave()
@@ -89,20 +94,27 @@ def _made(plan: Plan, work: Work, library: AssetLibrary | None, record: DatasetR
     there = work.there
     wanted = sorted({*(i for i in plan.indices if plan.shard is None or plan.shard.has(i)), *there.damaged})
     missing = tuple(i for i in wanted if i not in there.sound)
-    further = () if plan.shard is None else tuple(i for i in plan.indices if i not in there.sound)
-    failures: dict[int, str] = {}
+    further = () if plan.shard is None else tuple(sorted({*plan.indices} - there.sound - {*missing}))
+    for index in missing if plan.retry else ():
+        take_up(plan.root, index)
     if missing or further:
         for index, reason in there.damaged.items():
             print(f"scene {index} is damaged and made anew: {reason}", file=sys.stderr)
         if there.sound or there.damaged:
             _check_makers(record, plan)
         work.broken.update({} if library is None else _broken_models(library))
-        failures = run_scenes(work, missing, further)
+        run_scenes(work, missing, further)
     with locked(plan.root, PATIENCE):
         finish(plan.root, there)
         if {*missing, *further} - work.made.keys():  # of what runs made that were killed, nobody has written the rows
             now = read_dataset(plan.root)
             finish(plan.root, survey(plan.root, now, read_blocks(find_place(plan.root), now), contents=False))
+    aside = {index: why_aside(plan.root, index) for index in missing if index not in work.made}
+    failures = {
+        index: f"{why}; set aside, --retry tries it again (seed {plan.config.seed}, log {aside_path(plan.root, index)})"
+        for index, why in aside.items()
+        if why
+    }
     return Outcome(
         made=tuple(work.made),
         kept=len(wanted) - len(missing),
@@ -111,6 +123,7 @@ def _made(plan: Plan, work: Work, library: AssetLibrary | None, record: DatasetR
         seconds=work.seconds,
         changed=tuple(work.changed),
         thrown_away=tuple(work.thrown_away),
+        tried_again=tuple(work.tried_again),
         views=sum(views for views, _ in work.made.values()),
         size=sum(size for _, size in work.made.values()),
         others=len(set(missing) - work.made.keys() - failures.keys()),
