@@ -54,8 +54,15 @@ GROUPS = {
     "set up": ("assets", "config", "doctor"),
 }
 """The commands as help lists them."""
-EXTRAS = {"train": "train", "evaluate": "train", "ablate": "train", "harmonize": "train", "insert": "captures"}
-"""What to install for a command that needs more than what is there, if it is not `render`."""
+EXTRAS = {
+    "train": "train",
+    "evaluate": "train",
+    "ablate": "train",
+    "harmonize": "train",
+    "insert": "captures",
+    "ray": "ray",
+}
+"""What to install for a command, or for a module, that needs more than what is there, if it is not `render`."""
 OPTIONS = (
     "multilight COMMAND --help explains a command and its options.",
     "",
@@ -196,5 +203,6 @@ def _told(error: Exception, command: str) -> str:
         case OSError():
             return f"{reason_of(error)}; free some space, or choose another place"
         case ModuleNotFoundError():
-            return f"multilight {command} needs {error.name}: pip install 'multilight[{EXTRAS.get(command, 'render')}]'"
+            extra = EXTRAS.get(error.name or "", EXTRAS.get(command, "render"))
+            return f"multilight {command} needs {error.name}: pip install 'multilight[{extra}]'"
     return str(error)

@@ -12,6 +12,7 @@ from multilight.datagen.commands.output import progress as shown
 from multilight.datagen.config.dataset import DatasetConfig, load_config
 from multilight.datagen.config.presets import PRESETS, Preset
 from multilight.datagen.errors import UserError
+from multilight.datagen.production.crew import limits_for
 from multilight.datagen.production.dataset import Outcome, make_dataset, settings_of
 from multilight.datagen.production.homes import local_folder
 from multilight.datagen.production.memory import default_workers
@@ -63,7 +64,7 @@ def make_scene(
     if type(index) is not int or index < 0:
         raise UserError(f"index {index!r} must be a whole number from 0 up")
     wanted = _configuration(out, preset, config, {"scenes": index + 1} | settings)
-    return _made(out, wanted, (index,), assets, 1, False, progress).scene(index)
+    return _made(out, wanted, (index,), assets, 1, False, progress, retry=True).scene(index)
 
 
 def _configuration(
@@ -86,13 +87,15 @@ def _made(
     workers: int | None,
     repair: bool,
     progress: bool,
+    retry: bool = False,
 ) -> Dataset:
     if workers is not None and (type(workers) is not int or workers < 1):
         raise UserError(f"workers {workers!r} must be a whole number from 1 up")
     folders = tuple(Path(folder) for folder in ([assets] if isinstance(assets, str | Path) else assets))
-    workers, folder = workers or default_workers(len(indices), config), local_folder(out)
+    count, folder = workers or default_workers(len(indices), config), local_folder(out)
     address = str(out) if folder is None else ""
-    plan = Plan(folder or Path(), config, indices, workers, folders, repair, address=address)
+    limits = limits_for(config)
+    plan = Plan(folder or Path(), config, indices, count, limits, folders, repair, retry=retry, address=address)
     try:
         with _no_main(), shown("views", "starting") if progress else contextlib.nullcontext(silent) as report:
             outcome = make_dataset(plan, report)

@@ -42,7 +42,7 @@ class Status:
         elif self.prometheus:
             print(prometheus(found), end="")
         elif self.json:
-            told = {name: getattr(found, name) for name in ("in_work", "failed", "per_hour", "seconds_left")}
+            told = {name: getattr(found, name) for name in ("in_work", "per_hour", "seconds_left")}
             print(json.dumps(asdict(found) | told | {"runs": [run.model_dump() for run in found.runs]}, indent=1))
         else:
             failed = sum(map(len, found.failed.values()))

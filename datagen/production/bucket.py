@@ -19,6 +19,7 @@ from pathlib import Path
 
 from multilight.datagen.errors import StoreError, UserError
 from multilight.datagen.files.locks import locked
+from multilight.datagen.production.aside import FOLDER as ASIDE
 from multilight.datagen.production.drivers import BEAT, FOLDER, Driver
 from multilight.datagen.production.finishing import Survey, finish, look
 from multilight.datagen.production.homes import PATIENCE
@@ -131,7 +132,7 @@ class Bucket:
 
     def __init__(self, address: str, root: Path) -> None:
         """Join the runs at work there; raises `UserError` where it cannot be written."""
-        self.root, self._remote = root, Remote(address)
+        self.root, self._remote, self._aside = root, Remote(address), dict[str, str]()
         try:
             self._driver = BucketDriver(self._remote)
         except FileNotFoundError:
@@ -214,7 +215,7 @@ class Bucket:
         return found
 
     def _fetch(self) -> dict[str, str]:
-        """Have `dataset.json` and the index here; return the hashes of their files."""
+        """Have `dataset.json`, the index and what is set aside here; return the hashes of their files."""
         content = self._remote.read("dataset.json")
         if content is None:
             if any(not name.startswith(".") for name in self._remote.files("")):
@@ -232,17 +233,25 @@ class Bucket:
                 path.unlink(missing_ok=True)
                 if (block := self._remote.read(block_file(number))) is not None:
                     path.write_bytes(block)
-        return {name: file_sha256(self.root / name) for name in names if (self.root / name).is_file()}
+        for name in (f"{ASIDE}/{file}" for file in self._remote.files(ASIDE)):
+            path = self.root / name
+            if name not in self._aside and not path.exists() and (said := self._remote.read(name)) is not None:
+                path.parent.mkdir(exist_ok=True)
+                path.write_bytes(said)
+                self._aside[name] = file_sha256(path)
+        return self._aside | {name: file_sha256(self.root / name) for name in names if (self.root / name).is_file()}
 
     def _send(self, before: dict[str, str]) -> None:
         """Send what has changed, `dataset.json` last, and remove rows that the index has now."""
         dataset = read_dataset(self.root)
-        names = [*map(block_file, stated_blocks(dataset)), "dataset.json"]
+        aside = [f"{ASIDE}/{path.name}" for path in self.root.glob(f"{ASIDE}/*")]
+        names = [*aside, *map(block_file, stated_blocks(dataset)), "dataset.json"]
         now = {name: file_sha256(self.root / name) for name in names if (self.root / name).is_file()}
         changed = [name for name, digest in now.items() if before.get(name) != digest]
         for name in changed:
             self._remote.write(name, (self.root / name).read_bytes())
         self._remote.remove(before.keys() - now.keys())
+        self._aside = {name: now[name] for name in aside}
         if changed:
             tables = read_blocks(find_place(self.root), dataset).sound().values()
             known = {row_file(row) for table in tables for row in table.iter_rows(named=True)}

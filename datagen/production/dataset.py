@@ -11,6 +11,7 @@ from multilight.datagen.backends.choose import resolve_renderer
 from multilight.datagen.backends.machine.mitsuba_variant import choose_variant
 from multilight.datagen.config.dataset import DatasetConfig, RendererName
 from multilight.datagen.errors import StoreError, UserError, full_disk_told
+from multilight.datagen.production.aside import aside_name, take_up, why_aside
 from multilight.datagen.production.homes import Home, open_home
 from multilight.datagen.production.library import check_library, located, same_background
 from multilight.datagen.production.running import Plan, Work, run_scenes
@@ -41,6 +42,7 @@ VERSIONS = ("multilight", "bpy", "mitsuba", "drjit", "mitsuba-oidn", "OpenEXR", 
 class Outcome:
     """What a run did; `failures` maps a scene, `broken` an asset that was passed over, to one line of reason.
 
+    Scenes that failed are set aside; `tried_again` says of each failed try that was not the last why.
     `changed` are scenes that were damaged and came out otherwise than the index states; `seconds` maps each stage to
     the time it took, over all workers; `thrown_away` are the reasons of the draws that failed a check and were drawn
     anew; `views` and `size` are the number and the bytes of the views that were made, `others` the scenes that other
@@ -57,6 +59,7 @@ class Outcome:
     views: int = 0
     size: int = 0
     others: int = 0
+    tried_again: tuple[str, ...] = ()
     retried: int = 0
 
 
@@ -85,7 +88,8 @@ def make_dataset(plan: Plan, report: Report) -> Outcome:
             try:
                 report(0, 0, "looking at what is there")
                 there = home.survey(contents=plan.repair)
-                return _made(plan, Work(plan, renderer, there, home, driver, report), library, record)
+                gpu = record.variant.startswith("cuda")
+                return _made(plan, Work(plan, renderer, gpu, there, home, driver, report), library, record)
             finally:
                 with contextlib.suppress(UserError), home.held():  # on a full disk there may be no lock
                     driver.leave()
@@ -96,21 +100,29 @@ def _made(plan: Plan, work: Work, library: AssetLibrary | None, record: DatasetR
     there = work.there
     wanted = sorted({*(i for i in plan.indices if plan.shard is None or plan.shard.has(i)), *there.damaged})
     missing = tuple(i for i in wanted if i not in there.sound)
-    further = () if plan.shard is None else tuple(i for i in plan.indices if i not in there.sound)
-    failures: dict[int, str] = {}
-    event("run begins", out=str(plan.root), scenes=len(wanted), missing=len(missing), workers=plan.workers)
+    further = () if plan.shard is None else tuple(sorted({*plan.indices} - there.sound - {*missing}))
+    for index in missing if plan.retry else ():
+        take_up(plan.root, index)
+    place = work.home.place.address
+    event("run begins", out=place, scenes=len(wanted), missing=len(missing), workers=plan.workers)
     if missing or further:
         for index, reason in there.damaged.items():
             print(f"scene {index} is damaged and made anew: {reason}", file=sys.stderr)
         if there.sound or there.damaged:
             _check_makers(record, plan)
         work.broken.update({} if library is None else _broken_models(library))
-        failures = run_scenes(work, missing, further)
+        run_scenes(work, missing, further)
     home = work.home
     with home.held():
         home.finish(there)
         if {*missing, *further} - work.made.keys():  # of what runs made that were killed, nobody has written the rows
             home.finish(home.survey(contents=False))
+    aside = {index: why_aside(plan.root, index) for index in missing if index not in work.made}
+    failures = {
+        index: f"{why}; set aside, --retry tries it again (seed {plan.config.seed}, log {place}/{aside_name(index)})"
+        for index, why in aside.items()
+        if why
+    }
     event("run ends", made=len(work.made), failed=len(failures), scenes=len(there.sound))
     return Outcome(
         made=tuple(work.made),
@@ -120,6 +132,7 @@ def _made(plan: Plan, work: Work, library: AssetLibrary | None, record: DatasetR
         seconds=work.seconds,
         changed=tuple(work.changed),
         thrown_away=tuple(work.thrown_away),
+        tried_again=tuple(work.tried_again),
         views=sum(views for views, _ in work.made.values()),
         size=sum(size for _, size in work.made.values()),
         retried=len(work.retried) + len(home.retried),

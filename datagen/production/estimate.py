@@ -17,8 +17,8 @@ from pebble import ProcessPool
 from multilight.datagen.backends.choose import resolve_renderer
 from multilight.datagen.config.dataset import DatasetConfig
 from multilight.datagen.errors import UserError
+from multilight.datagen.production.crew import SCENES_A_WORKER
 from multilight.datagen.production.library import check_library
-from multilight.datagen.production.running import SCENES_A_WORKER
 from multilight.datagen.production.worker import WorkerSetup, run_scene
 from multilight.datagen.report import Report
 from multilight.datagen.storage.store import scene_dir

@@ -11,6 +11,7 @@ from stat import S_ISREG
 
 import polars as pl
 
+from multilight.datagen.production.aside import FOLDER
 from multilight.datagen.storage.address import Place, find_place
 from multilight.datagen.storage.blocks import BLOCK, Index, block_file, joined, read_blocks, stated_blocks
 from multilight.datagen.storage.index import Row, index_bytes, index_row, index_table, table_of
@@ -121,8 +122,9 @@ def finish(root: Path, there: Survey, scenes: Place | None = None) -> None:
     the folder's lock. `scenes` is where the scenes lie, if not in the folder.
     """
     place, dataset = find_place(root), read_dataset(root)
-    with contextlib.suppress(OSError):
-        (root / "logs").rmdir()
+    for name in ("logs", FOLDER):
+        with contextlib.suppress(OSError):
+            (root / name).rmdir()
     index = read_blocks(place, dataset)
     if set(index.faults) - there.unread:  # damaged since, or not finished by a run that was killed
         again = survey(root, dataset, index, contents=False)

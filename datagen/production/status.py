@@ -1,17 +1,19 @@
 """How far a dataset in the making is, seen from outside: its scenes, and what the runs on it tell of themselves."""
 
+import contextlib
 import os
 import re
 import shutil
 import socket
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 from pydantic import ValidationError
 
 from multilight.datagen.errors import StoreError
+from multilight.datagen.production.aside import FOLDER as ASIDE
 from multilight.datagen.production.drivers import FOLDER, LEASE
 from multilight.datagen.production.memory import free_bytes, used_bytes
 from multilight.datagen.storage.address import find_place
@@ -36,7 +38,7 @@ class RunState(Frozen):
     """What a run tells of itself, every few seconds.
 
     `time` is its own clock's [s since 1970], `seconds` how long it has been at work, `memory` what it and its workers
-    take, `free_memory` and `free_disk` what is left there [bytes]; `failed` maps a scene to the reason.
+    take, `free_memory` and `free_disk` what is left there [bytes].
     """
 
     host: str
@@ -46,15 +48,12 @@ class RunState(Frozen):
     workers: int
     made: int
     in_work: tuple[int, ...]
-    failed: dict[int, str]
     memory: int
     free_memory: int
     free_disk: int
 
 
-def state_here(
-    root: Path, since: float, *, workers: int, made: int, in_work: tuple[int, ...], failed: Mapping[int, str]
-) -> RunState:
+def state_here(root: Path, since: float, *, workers: int, made: int, in_work: tuple[int, ...]) -> RunState:
     """Describe this process's run, at work in `root` since a time of the monotonic clock."""
     return RunState(
         host=socket.gethostname(),
@@ -64,7 +63,6 @@ def state_here(
         workers=workers,
         made=made,
         in_work=in_work,
-        failed=dict(failed),
         memory=used_bytes(),
         free_memory=free_bytes(),
         free_disk=shutil.disk_usage(root).free,
@@ -73,25 +71,18 @@ def state_here(
 
 @dataclass(frozen=True)
 class Status:
-    """A dataset in the making: how many scenes it shall have and has, and the runs at work on it."""
+    """A dataset in the making: how many scenes it shall have and has, those set aside by reason, and runs at work."""
 
     address: str
     scenes: int
     done: int
+    failed: dict[str, list[int]]
     runs: tuple[RunState, ...]
 
     @property
     def in_work(self) -> int:
         """Scenes that runs have in hand."""
         return len({scene for run in self.runs for scene in run.in_work})
-
-    @property
-    def failed(self) -> dict[str, list[int]]:
-        """Scenes that the runs at work could not make, by reason."""
-        found: dict[str, list[int]] = {}
-        for scene, reason in sorted((scene, why) for run in self.runs for scene, why in run.failed.items()):
-            found.setdefault(kind_of_failure(reason), []).append(scene)
-        return found
 
     @property
     def per_hour(self) -> float:
@@ -115,10 +106,19 @@ def status_of(address: str) -> Status:
                 runs.append(RunState.from_json(place.read(f"{FOLDER}/{name}", MOST_RECORD).decode()))
             except (StoreError, ValidationError, UnicodeDecodeError):  # it has left meanwhile
                 continue
+    failed: dict[str, list[int]] = {}
+    for name in place.names(ASIDE) or ():
+        with contextlib.suppress(StoreError):  # it is tried again
+            reason = place.read(f"{ASIDE}/{name}").decode(errors="replace").partition("\n")[0]
+            failed.setdefault(kind_of_failure(reason), []).append(int(Path(name).stem))
     lately = (run for run in runs if abs(time.time() - run.time) < LEASE)
     done = sum(number < record.config.scenes for number in scene_names(place) or ())
     return Status(
-        place.address, record.config.scenes, done, tuple(sorted(lately, key=lambda run: (run.host, run.process)))
+        place.address,
+        record.config.scenes,
+        done,
+        failed,
+        tuple(sorted(lately, key=lambda run: (run.host, run.process))),
     )
 
 

@@ -194,6 +194,21 @@ def test_a_killed_runs_rows_are_found(bucket: FaultyBucket, alone: dict[str, byt
     assert {n: c for n, c in bucket.contents("set").items() if not n.startswith(".drivers/")} == alone
 
 
+def test_scenes_that_are_set_aside(
+    bucket: FaultyBucket, alone: dict[str, bytes], capsys: pytest.CaptureFixture[str]
+) -> None:
+    put(bucket, {name: content for name, content in alone.items() if "/000003/" not in name})
+    assert make("--limit-minutes", "0.0001") == 1
+    assert f"log {ADDRESS}/set_aside/000003.log" in capsys.readouterr().err
+    assert b"took longer" in bucket.contents("set")["set_aside/000003.log"]
+    assert main(["status", ADDRESS]) == 0
+    assert (
+        "failed     1: took longer than 0 s; raise --limit-minutes or lower --spp (scenes 3)" in capsys.readouterr().out
+    )
+    assert make("--retry") == 0
+    assert bucket.contents("set") == alone
+
+
 def refused(capsys: pytest.CaptureFixture[str], address: str, *words: str) -> str:
     assert main(["dataset", "--out", address, *SETTINGS, *words]) == 1
     said = capsys.readouterr().err

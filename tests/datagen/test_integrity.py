@@ -292,12 +292,11 @@ def in_one_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make scenes in this process: many repairs, each with workers of its own, would take minutes."""
     library = AssetLibrary()
 
-    def make(work: Work, missing: tuple[int, ...], _: tuple[int, ...]) -> dict[int, str]:
+    def make(work: Work, missing: tuple[int, ...], _: tuple[int, ...]) -> None:
         with AnalyticBackend() as backend:
             maker = SceneMaker(work.plan.config, work.renderer, work.plan.root, library, backend, 1)
             for index in missing:
                 work.take(report_of(make_scene(maker, index), {}))
-        return {}
 
     monkeypatch.setattr("multilight.datagen.production.dataset.run_scenes", make)
 
