@@ -1,30 +1,28 @@
 """Make or continue a dataset: plan, worker processes, index; resumable after any kill."""
 
 import contextlib
-import importlib.metadata
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
 
 from multilight.datagen.backends.choose import resolve_renderer
-from multilight.datagen.backends.machine.mitsuba_variant import choose_variant
 from multilight.datagen.config.dataset import DatasetConfig, RendererName
 from multilight.datagen.errors import StoreError, UserError, full_disk_told
 from multilight.datagen.production.aside import aside_name, take_up, why_aside
 from multilight.datagen.production.homes import Home, open_home
 from multilight.datagen.production.library import check_library, located, same_background
+from multilight.datagen.production.makers import Makers, makers_here
 from multilight.datagen.production.running import Plan, Work, run_scenes
 from multilight.datagen.report import Report, event
 from multilight.datagen.storage.address import find_place
+from multilight.datagen.storage.open_dataset import read_record, scene_names
 from multilight.datagen.storage.records import GHOSTS, DatasetRecord, ImportAccount
 from multilight.datagen.storage.store import (
     COPIES,
     MOST_RECORD,
     parse_dataset,
     read_dataset,
-    read_scene,
-    scene_dir,
     scene_indices,
     write_text,
 )
@@ -34,8 +32,6 @@ from multilight.scenes.assets.check import MODELS
 from multilight.scenes.assets.info import AssetRole
 from multilight.scenes.assets.library import AssetError, AssetLibrary
 from multilight.scenes.assets.packs.background import PACK
-
-VERSIONS = ("multilight", "bpy", "mitsuba", "drjit", "mitsuba-oidn", "OpenEXR", "trimesh", "numpy", "colour-science")
 
 
 @dataclass(frozen=True)
@@ -76,9 +72,10 @@ def make_dataset(plan: Plan, report: Report) -> Outcome:
     with open_home(plan.root, plan.address) as home:
         plan = replace(plan, config=located(plan.config, home.root), root=home.root)
         library = check_library(plan.config, plan.asset_folders)
+        here = makers_here(renderer, library)
         with full_disk_told(plan.root):
             with home.held():
-                record = _open_record(plan, renderer, home)
+                record = _open_record(plan, renderer, home, here)
                 if library is not None and (said := _accounts(library)) != record.imports:
                     record = record.model_copy(update={"imports": said}).sealed()
                     write_text(plan.root / "dataset.json", record.model_dump_json(indent=1))
@@ -89,13 +86,13 @@ def make_dataset(plan: Plan, report: Report) -> Outcome:
                 report(0, 0, "looking at what is there")
                 there = home.survey(contents=plan.repair)
                 gpu = record.variant.startswith("cuda")
-                return _made(plan, Work(plan, renderer, gpu, there, home, driver, report), library, record)
+                return _made(plan, Work(plan, renderer, gpu, there, home, driver, report), library, record, here)
             finally:
                 with contextlib.suppress(UserError), home.held():  # on a full disk there may be no lock
                     driver.leave()
 
 
-def _made(plan: Plan, work: Work, library: AssetLibrary | None, record: DatasetRecord) -> Outcome:
+def _made(plan: Plan, work: Work, library: AssetLibrary | None, record: DatasetRecord, here: Makers) -> Outcome:
     """Make what is missing of the plan, and finish."""
     there = work.there
     wanted = sorted({*(i for i in plan.indices if plan.shard is None or plan.shard.has(i)), *there.damaged})
@@ -108,8 +105,7 @@ def _made(plan: Plan, work: Work, library: AssetLibrary | None, record: DatasetR
     if missing or further:
         for index, reason in there.damaged.items():
             print(f"scene {index} is damaged and made anew: {reason}", file=sys.stderr)
-        if there.sound or there.damaged:
-            _check_makers(record, plan)
+        _check_makers(record, plan, here)
         work.broken.update({} if library is None else _broken_models(library))
         run_scenes(work, missing, further)
     home = work.home
@@ -156,33 +152,31 @@ def _check_kind(config: DatasetConfig, renderer: RendererName) -> None:
         )
 
 
-def _check_makers(record: DatasetRecord, plan: Plan) -> None:
-    """Raise `UserError` where packs that scenes drew from are missing; tell where other versions make what is new."""
-    here = {PACK, *(folder.resolve().name for folder in plan.asset_folders), *AssetLibrary().packs}
-    if missing := sorted({credit.pack for credit in record.assets} - here):
+def _check_makers(record: DatasetRecord, plan: Plan, here: Makers) -> None:
+    """Raise `UserError` where packs that scenes drew from are missing; tell where others make what is new."""
+    there = {PACK, *(folder.resolve().name for folder in plan.asset_folders), *AssetLibrary().packs}
+    if missing := sorted({credit.pack for credit in record.assets} - there):
         raise UserError(
-            f"{plan.root} was made with the pack {missing[0]!r}, which is not there; run `multilight assets fetch "
+            f"{plan.place} was made with the pack {missing[0]!r}, which is not there; run `multilight assets fetch "
             f"{missing[0]}`, or name the folder of that name with --assets"
         )
-    versions = {package: importlib.metadata.version(package) for package in record.versions if package in VERSIONS}
-    if other := [f"{p} {record.versions[p]}, now {v}" for p, v in versions.items() if v != record.versions[p]]:
-        print(f"{plan.root} was made with {'; '.join(other)}: scenes may come out otherwise", file=sys.stderr)
+    if said := here.others(record):
+        print(f"{plan.place} was made with {'; '.join(said)}: scenes may come out otherwise", file=sys.stderr)
 
 
-def _open_record(plan: Plan, renderer: RendererName, home: Home) -> DatasetRecord:
+def _open_record(plan: Plan, renderer: RendererName, home: Home, here: Makers) -> DatasetRecord:
     """Write `dataset.json`, or check that what is there was made with the same configuration and renderer."""
     path, name = plan.root / "dataset.json", home.place.address
-    variant = (choose_variant().variant or "") if renderer == "mitsuba" else ""
     if not path.exists() and not scene_indices(plan.root):
         if any(not p.name.startswith(".") for p in plan.root.iterdir()):
             raise UserError(f"output folder {name} holds other files and no dataset; choose an empty --out")
-        return _new_record(plan, renderer, variant)
+        return _new_record(plan, renderer, here)
     if any(home.place.exists(file) for file in COPIES):
         raise UserError(f"{name} is a packed copy or an export; the command that made it makes it anew")
     try:
         record = read_dataset(plan.root)
     except StoreError as error:
-        return _restored_record(plan, renderer, variant, error)
+        return _restored_record(plan, renderer, home, here, error)
     if record.schema_version <= GHOSTS:
         raise UserError(f"{name} cannot be continued or repaired: {ANEW}")
     if record.renderer != renderer:
@@ -207,30 +201,27 @@ def _open_record(plan: Plan, renderer: RendererName, home: Home) -> DatasetRecor
     return record
 
 
-def _new_record(plan: Plan, renderer: RendererName, variant: str) -> DatasetRecord:
+def _new_record(plan: Plan, renderer: RendererName, here: Makers) -> DatasetRecord:
     """Write the `dataset.json` of a dataset that begins."""
-    versions = {package: importlib.metadata.version(package) for package in VERSIONS}
     seen = "" if plan.config.background is None else file_digest(plan.config.background) or ""
-    made = DatasetRecord(
-        config=plan.config, renderer=renderer, variant=variant, versions=versions, background_sha256=seen
-    )
+    made = DatasetRecord(config=plan.config, renderer=renderer, background_sha256=seen, **vars(here))
     record = made.sealed()
     write_text(plan.root / "dataset.json", record.model_dump_json(indent=1))
     return record
 
 
-def _restored_record(plan: Plan, renderer: RendererName, variant: str, error: StoreError) -> DatasetRecord:
+def _restored_record(plan: Plan, renderer: RendererName, home: Home, here: Makers, error: StoreError) -> DatasetRecord:
     """Write a damaged `dataset.json` anew from the options given, where every record that can be read agrees."""
-    how = f"give --repair and the options that {plan.root} was made with"
+    how = f"give --repair and the options that {plan.place} was made with"
     if not plan.repair:
         raise UserError(f"{error}; to write it anew, {how}")
     record = DatasetRecord(config=plan.config, renderer=renderer, versions={})
-    for index in scene_indices(plan.root):
+    for index in scene_names(home.place) or ():
         with contextlib.suppress(StoreError):
-            if reason := record.misfit(read_scene(scene_dir(plan.root, index))):
+            if reason := record.misfit(read_record(home.place, index)):
                 raise UserError(f"{error}; to write it anew, {how}: of scene {index} {reason}")
     print(f"{error}; it is written anew from the options given", file=sys.stderr)
-    return _new_record(plan, renderer, variant)
+    return _new_record(plan, renderer, here)
 
 
 def _accounts(library: AssetLibrary) -> tuple[ImportAccount, ...]:

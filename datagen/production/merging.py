@@ -113,7 +113,7 @@ def _check_same(one: _Part, other: _Part) -> None:
     mine, theirs = one.record, other.record
     for name in DatasetRecord.model_fields.keys() - {*GROWN, "config", "versions", "variant", "record_sha256"}:
         if getattr(mine, name) != getattr(theirs, name):
-            raise _not_one(one, other, f"another {name}")
+            raise _not_one(one, other, f"other {name}")
     if told := mine.other_settings(theirs.config, same_background=mine.background_sha256 != ""):
         raise _not_one(one, other, ", ".join(told))
     credits = {credit.id: credit for credit in mine.assets}

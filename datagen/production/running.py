@@ -20,6 +20,7 @@ from multilight.datagen.production.shards import Shard
 from multilight.datagen.production.status import state_here
 from multilight.datagen.production.worker import WorkerReport, WorkerSetup
 from multilight.datagen.report import Report, event
+from multilight.datagen.storage.address import without_password
 
 AHEAD = 2
 """Scenes a worker that are handed out: the one in work, and the next."""
@@ -50,6 +51,11 @@ class Plan:
     retry: bool = False
     cluster: str | None = None
     address: str = ""
+
+    @property
+    def place(self) -> str:
+        """Where the dataset lies, in words."""
+        return without_password(self.address or self.root)
 
 
 @dataclass(frozen=True)

@@ -51,6 +51,8 @@ from multilight.scenes.random_streams import Streams
 from tests.datagen.faults import small_disk, tree
 
 DRIVERS = 4
+PAUSE = 0.5
+"""Seconds from one thing that is done to them to the next, on average."""
 LEASE = 0.4
 """Seconds, instead of a minute; signs of life come eight times as often."""
 FAULTS = "faults"
@@ -192,14 +194,14 @@ class Bench:
         while True:
             while len(live) < DRIVERS:
                 live.append(self.start(root, Shard(self.rng.randrange(3), 3) if self.rng.random() < 0.5 else None))
-            time.sleep(self.rng.expovariate(1 / 0.1))
+            time.sleep(self.rng.expovariate(1 / PAUSE))
             victim = self.rng.choice(live)
             match self.rng.choices(("kill", "stop", "jump"), (6, 2, 1))[0]:
                 case "kill" if kills > 0 and victim.is_alive():
                     victim.kill()
                     kills -= 1
                     self.done["killed"] += 1
-                case "stop" if victim.is_alive() and victim.pid not in asleep:
+                case "stop" if victim.pid and victim.is_alive() and victim.pid not in asleep:
                     os.kill(victim.pid, signal.SIGSTOP)
                     asleep[victim.pid] = time.monotonic() + self.rng.uniform(0.5, 3) * LEASE
                     self.done["stopped beyond its lease"] += 1
