@@ -36,7 +36,7 @@ CONTINUED = ("dataset", "scene", "import", "pack", "export", "train", "ablate")
 """Commands that go on where they were stopped."""
 GROUPS = {
     "make": ("dataset", "scene", "import", "plan"),
-    "look": ("view", "verify", "mix", "sheet", "stats", "query"),
+    "look": ("view", "video", "verify", "mix", "sheet", "stats", "query"),
     "share": ("export", "pack"),
     "learn": ("train", "evaluate", "ablate", "study"),
     "use on your own pictures": ("harmonize", "insert"),
@@ -59,6 +59,7 @@ COMMANDS: dict[str, type] = {
     "plan": plan.Plan,
     "verify": inspect.Verify,
     "view": inspect.View,
+    "video": inspect.Video,
     "mix": inspect.Mix,
     "sheet": inspect.Sheet,
     "stats": inspect.Stats,

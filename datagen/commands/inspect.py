@@ -1,4 +1,4 @@
-"""Commands that look at what was made: `verify`, `view`, `mix`, `sheet`, `stats`."""
+"""Commands that look at what was made: `verify`, `view`, `video`, `mix`, `sheet`, `stats`."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -96,6 +96,45 @@ class Mix(MixRequest):
         from multilight.datagen.tuples.mixing import write_mix
 
         write_mix(self)
+        return 0
+
+
+@dataclass
+class Video:
+    """Write a film of a scene: its views, lit by one light after another; then composite against target.
+
+    Small pictures are enlarged to 480 lines. Many views make a quicker film, not a much longer one.
+    """
+
+    dir: tyro.conf.Positional[str]
+    """Folder or address of the dataset."""
+    out: Path = field(kw_only=True)
+    """File to write: .mp4, or .webp, which goes round for ever."""
+    scene: int = 0
+    """Index of the scene."""
+    object: str | None = None
+    """Insertable object of the composites (default: the one that covers most of a view)."""
+
+    def run(self) -> int:
+        """Write the film and return the exit code."""
+        from multilight.datagen.commands.output import print_written, progress
+        from multilight.datagen.files.outputs import check_file, written
+        from multilight.datagen.files.video import CODECS, write_video
+        from multilight.datagen.storage.open_dataset import open_dataset
+        from multilight.datagen.tuples.film import film
+        from multilight.datagen.tuples.mixing import checked_object, checked_scene
+
+        if self.out.suffix.lower() not in CODECS:
+            raise UserError(f"--out {self.out}: the suffix must be {' or '.join(CODECS)}")
+        source = open_dataset(self.dir)
+        record = checked_scene(source, self.scene)
+        if self.object is not None:
+            checked_object(self.object, record)
+        check_file(self.out)
+        with progress("shots", "reading") as report, written(self.out) as work:
+            seconds = write_video(work, film(source, record, self.object, report))
+        views, lights = len(record.views), len(record.rig.lights)
+        print_written(self.out, f"{seconds:.0f} s, {views} views, {lights} lights")
         return 0
 
 
