@@ -5,7 +5,6 @@ import contextlib
 import http.client
 import io
 import json
-import shutil
 import subprocess
 import sys
 import threading
@@ -31,17 +30,12 @@ from multilight.lights.photometry.colour import temperature_to_rgb
 from multilight.lights.spec import LightingCondition
 from multilight.scenes.colour import luminance
 from tests import ROOT
+from tests.browsing import barriers, needs_npm
 from tests.datagen.servers import http_server
 
-sync_api = pytest.importorskip("playwright.sync_api", reason="pip install playwright: the browser's driver")
-
 WEB = ROOT / "web"
-AXE = WEB / "node_modules" / "axe-core" / "axe.min.js"
-BROWSERS = ("chromium", "google-chrome")
-SOFTWARE = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-gpu-watchdog"]
 NO_WEBGL = "HTMLCanvasElement.prototype.getContext = new Proxy(HTMLCanvasElement.prototype.getContext, {apply: \
 (call, canvas, words) => words[0] === 'webgl2' ? null : Reflect.apply(call, canvas, words)})"
-needs_npm = pytest.mark.skipif(not AXE.exists(), reason="web/node_modules is missing: make web")
 
 
 @dataclass
@@ -97,17 +91,6 @@ def serving(source: DatasetSource) -> Iterator[str]:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         yield server.address
         server.shutdown()
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    found = next(filter(None, map(shutil.which, BROWSERS)), None)
-    if found is None:
-        pytest.skip(f"there is none of {', '.join(BROWSERS)}; as root: apt-get install chromium")
-    with sync_api.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=found, args=SOFTWARE)
-        yield browser
-        browser.close()
 
 
 @pytest.fixture(scope="module")
@@ -381,15 +364,14 @@ def test_the_page_as_files(
 @needs_npm
 @pytest.mark.parametrize(("scheme", "width", "height"), [("dark", 1440, 900), ("light", 390, 844)])
 def test_nothing_bars_anyone(browser: Any, address: str, scheme: str, width: int, height: int) -> None:
-    code = f"{AXE.read_text()}\naxe.run().then(found => found.violations.map(each => each.id + each.nodes[0].html))"
     view = {"width": width, "height": height}
     with mixer(browser, address, viewport=view, color_scheme=scheme, reduced_motion="reduce") as page:
         page.open(scene=0, view=0, object="none", edits="object", pick="3,3,target", curve="stops")
-        assert page.page.evaluate(code) == []
+        assert barriers(page.page) == []
         assert page.page.evaluate("document.documentElement.scrollWidth") <= width
         for title in ("Help", "Save the lighting", "All scenes"):
             page.page.get_by_title(title).click()
-            assert page.page.evaluate(code) == [], title
+            assert barriers(page.page) == [], title
             page.page.keyboard.press("Escape")
 
 
