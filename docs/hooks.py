@@ -1,4 +1,4 @@
-"""What `mkdocs build` is told besides: the root's documents and the examples are pages, and the light mixer is there."""
+"""What `mkdocs build` is told besides: the root's documents and the examples are pages; the light mixer is there."""
 
 import re
 from pathlib import Path
@@ -48,7 +48,9 @@ def on_post_build(config: MkDocsConfig) -> None:
 def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
     """Let links between the repository's files lead to the site's pages, and to the mixer."""
     if page.file.src_uri == "viewing.md":
-        markdown = markdown.replace("\n\n", f'\n\n<a href="{MIXER}"><strong>Try it here</strong></a>, with two small scenes.\n\n', 1)
+        markdown = markdown.replace(
+            "\n\n", f'\n\n<a href="{MIXER}"><strong>Try it here</strong></a>, with two small scenes.\n\n', 1
+        )
     markdown = re.sub(r"\]\((?:\.\./)?examples/(\w+)\.py\)", r"](examples/\1.md)", markdown)
     markdown = re.sub(r"\[([^\]]+)\]\((?:examples|docs|CITATION\.cff|LICENSE)\)", r"\1", markdown)
     return re.sub(r"\]\((?:\.\./|docs/)", "](", markdown)

@@ -24,8 +24,8 @@ from tests.scenes.custom_scenes import room
 from tests.test_documents import blocks, printed
 
 PAGES = (
-    "tutorial", "making", "own_models", "own_rooms", "own_settings", "dataset", "viewing", "exports", "training", "scale_out",
-    "published_layout", "write_an_export", "model",
+    "tutorial", "making", "own_models", "own_rooms", "own_settings", "dataset", "viewing", "exports", "training",
+    "scale_out", "published_layout", "write_an_export", "model",
 )  # fmt: skip
 SIZES = {
     "dataset": [*SPHERES, "--views", "4", "--scenes", "3", "--config", "demo.toml"],

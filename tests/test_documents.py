@@ -86,7 +86,7 @@ def test_make_targets_exist(page: Path) -> None:
 def options(kind: Any) -> Iterator[str]:
     """Name every option of a command, those of its sub-commands among them."""
     for field, hint in get_type_hints(kind).items():
-        yield "--" + field.replace("_", "-")
+        yield "--" + field.lstrip("_").replace("_", "-")
         for part in (hint, *get_args(hint)):
             if dataclasses.is_dataclass(part):
                 yield from options(part)

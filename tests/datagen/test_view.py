@@ -478,7 +478,11 @@ def test_fingers_on_a_phone(browser: Any, rendered: DatasetSource) -> None:
         page.page.touchscreen.tap(*at(0.6, 0.7))
         page.painted()
         x, y, pane = page.state()["pick"].split(",")
-        assert (int(x) / 96, int(y) / 72, pane) == (pytest.approx(0.6, abs=0.02), pytest.approx(0.7, abs=0.02), "target")
+        assert (int(x) / 96, int(y) / 72, pane) == (
+            pytest.approx(0.6, abs=0.02),
+            pytest.approx(0.7, abs=0.02),
+            "target",
+        )
         for word in ("pixel", "target", "depth", "object", "material"):
             assert word in page.text(".read")
 

@@ -1,0 +1,208 @@
+"""A scene in space, in the browser: what its views see as Gaussians, relit; cameras, lights, boxes of bodies."""
+
+import contextlib
+import threading
+from collections.abc import Sequence
+from typing import Any, Self
+
+import numpy as np
+import viser
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from multilight.datagen.errors import UserError
+from multilight.datagen.storage.object_variants import ALL
+from multilight.datagen.storage.open_dataset import DatasetSource
+from multilight.datagen.storage.records import SceneRecord
+from multilight.datagen.storage.store import ViewData
+from multilight.datagen.tuples import compose
+from multilight.datagen.view.server import LOOPBACK, PORT
+from multilight.lights.display.tonemap import to_display
+from multilight.lights.relight import mix
+from multilight.lights.spec import AreaLight, Light, SunLight
+from multilight.scenes.arrays import Float64
+from multilight.scenes.colour import srgb_encode
+from multilight.scenes.gaussians.from_views import SceneGaussians, gaussians_from_views
+from multilight.scenes.poses import about_z
+
+SIDE = 256
+"""Gaussians a side of their map."""
+FINE = 64.0
+"""Covariances travel as half floats, which hold those of millimetres if the scene is that much larger."""
+TO_OPENCV = np.diag([1.0, -1.0, -1.0])
+MARK, AWAY = 0.03, 1.5
+"""Radius of what stands for a small light, and how far from the middle a sun is drawn, in metres."""
+BACK, ASIDE = 1.5, 0.5
+"""The page begins so many times as far away as the furthest camera, and so far [rad] to its side."""
+AMBER = (255, 179, 92)
+
+
+class Space:
+    """A server of a dataset's scenes in space, on the loopback interface; `address` is where."""
+
+    def __init__(self, source: DatasetSource, port: int | None) -> None:
+        """Show the first scene on a port, or on `PORT` or a free one after it.
+
+        Raises `UserError` where the port is taken, `StoreError` where the scene cannot be read.
+        """
+        self._source, self._lock = source, threading.Lock()
+        with contextlib.redirect_stdout(None):  # it would say where it listens, in a box
+            self.server = viser.ViserServer(LOOPBACK, PORT if port is None else port, label="In space")
+        found = self.server.get_port()
+        if port not in (None, 0, found):
+            self.server.stop()
+            raise UserError(f"--port {port} cannot be used: it is taken; choose another, or none")
+        self.address = f"http://{LOOPBACK}:{found}/"
+        gui = self.server.gui
+        gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False, brand_color=AMBER)
+        self.server.scene.set_up_direction("+z")
+        self._scene = gui.add_dropdown("Scene", [str(index) for index in source.indices])
+        self._lighting = gui.add_dropdown("Lighting", ["all"])
+        self._shown = {name: gui.add_checkbox(name, name != "boxes") for name in ("cameras", "lights", "boxes")}
+        self._scene.on_update(lambda _: self.show(int(self._scene.value)))
+        self._lighting.on_update(lambda _: self.relight(self._lighting.value))
+        for name, box in self._shown.items():
+            box.on_update(lambda _, name=name, box=box: setattr(self._groups[name], "visible", box.value))
+        self.show(source.indices[0])
+
+    def __enter__(self) -> Self:
+        """Return the server, which has begun."""
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """End it."""
+        self.server.stop()
+
+    def serve_forever(self) -> None:
+        """Wait; the server has its own threads."""
+        self.server.sleep_forever()
+
+    def show(self, index: int) -> None:
+        """Show a scene in place of the one before."""
+        record = self._source.scene(index)
+        views = list(self._source.views(record))
+        found = seen_gaussians(record, views)
+        shape = found.gaussians
+        axes = Rotation.from_quat(np.roll(shape.quats, -1, axis=1)).as_matrix() * shape.scales[:, None, :]
+        with self._lock, self.server.atomic():
+            space = self.server.scene
+            space.reset()
+            self._record = record
+            self._lights = views[0].lights
+            layers = np.stack([view.variants[ALL] for view in views], axis=1)
+            self._layers = layers.reshape(len(self._lights), len(views), -1, 3)[:, None, *found.sources.T]
+            self._groups = {
+                name: space.add_frame(name, show_axes=False, visible=box.value) for name, box in self._shown.items()
+            }
+            self._gaussians = space.add_gaussian_splats(
+                "seen", FINE * shape.means, FINE**2 * axes @ axes.transpose(0, 2, 1), np.ones_like(shape.means),
+                shape.opacities[:, None], scale=1 / FINE,
+            )  # fmt: skip
+            middle = np.median(shape.means[found.objects >= 0], axis=0)
+            boxes = boxes_of(record, views, found)
+            for name, (low, high, pose) in boxes.items():
+                place = {"position": (pose @ [*(low + high) / 2, 1.0])[:3], "wxyz": quaternion(pose)}
+                scale = np.linalg.norm(pose[:3, 0])
+                space.add_box(f"boxes/{name}", AMBER, scale * (high - low), wireframe=True, **place)
+                space.add_label(
+                    f"boxes/{name}/label", name.replace("_", " "), position=(0, 0, scale * (high - low)[2] / 2)
+                )
+            self._add_cameras(views)
+            for light in record.rig.lights:
+                self._add_light(light, middle)
+            eyes = np.stack([camera.pose()[:3, 3] for camera in record.scene.cameras])
+            away = eyes[np.argmax(np.linalg.norm(eyes - middle, axis=1))] - middle
+            self.server.initial_camera.position = middle + BACK * about_z(ASIDE)[:3, :3] @ away
+            self.server.initial_camera.look_at = middle
+            self._lighting.options = [condition.name for condition in record.conditions]
+        self.relight(record.conditions[0].name)
+
+    def relight(self, name: str) -> None:
+        """Show the Gaussians under a stored condition."""
+        radiance = mix(self._layers, self._lights, self._record.condition(name))
+        self._gaussians.rgbs = to_display(radiance)[0] / 255.0
+
+    def _add_cameras(self, views: Sequence[ViewData]) -> None:
+        for number, (camera, view) in enumerate(zip(self._record.scene.cameras, views, strict=True)):
+            picture = to_display(compose.target(view, self._record.conditions[0]))
+            pose = camera.pose()
+            frustum = self.server.scene.add_camera_frustum(
+                f"cameras/{number}",
+                2 * np.arctan(camera.height / camera.fy / 2),
+                camera.width / camera.height,
+                scale=0.1,
+                thickness=0.004,
+                color=AMBER,
+                image=picture,
+                position=pose[:3, 3],
+                wxyz=quaternion(pose[:3, :3] @ TO_OPENCV),
+            )
+            frustum.on_click(self._look_through)
+
+    def _look_through(self, event: Any) -> None:
+        event.client.camera.wxyz, event.client.camera.position = event.target.wxyz, event.target.position
+
+    def _add_light(self, light: Light, middle: Float64) -> None:
+        """Draw a light where it is; environments are everywhere, and what glows is in its box."""
+        space, name = self.server.scene, f"lights/{light.name}"
+        amount = np.asarray(light.amount)
+        colour = tuple((255 * srgb_encode(amount / max(amount.max(), 1e-9))).astype(int).tolist())
+        if isinstance(light, AreaLight):
+            pose = np.asarray(light.world_from_light)
+            place = pose[:3, 3]
+            space.add_box(
+                f"{name}/face", colour, (light.width, light.height, 0.004), position=place, wxyz=quaternion(pose)
+            )
+            towards = -pose[:3, 2]
+        elif isinstance(light, SunLight):
+            towards = np.asarray(light.direction)
+            place = middle - AWAY * towards
+        elif hasattr(light, "position"):
+            place, towards = np.asarray(light.position), np.asarray(light.direction)
+        else:
+            return
+        if not isinstance(light, AreaLight):
+            space.add_icosphere(f"{name}/bulb", MARK, colour, position=place)
+        space.add_arrows(
+            f"{name}/towards",
+            np.stack([place, place + 0.25 * towards])[None],
+            colour,
+            shaft_radius=MARK / 5,
+            head_radius=MARK / 2,
+            head_length=MARK,
+        )
+        space.add_label(f"{name}/label", light.name.replace("_", " "), position=place)
+
+
+def seen_gaussians(record: SceneRecord, views: Sequence[ViewData]) -> SceneGaussians:
+    """Make Gaussians of what a scene's views see."""
+    geometry = [view.geometry for view in views]
+    return gaussians_from_views(
+        record.scene.cameras,
+        np.stack([each.z_depth for each in geometry]),
+        np.stack([each.instance_id for each in geometry]),
+        [record.scene.instance_id(name) for name in record.scene.insertable],
+        side=SIDE,
+        normals=np.stack([each.normal_world for each in geometry]),
+    )
+
+
+def boxes_of(
+    record: SceneRecord, views: Sequence[ViewData], found: SceneGaussians
+) -> dict[str, tuple[Float64, Float64, Float64]]:
+    """Return the box of what is seen of each object: low and high (3,) in its frame, and the frame's pose (4, 4)."""
+    ids = np.stack([view.geometry.instance_id.ravel() for view in views])[*found.sources.T]
+    boxes = {}
+    for body in record.scene.bodies:
+        points = found.gaussians.means[ids == record.scene.instance_id(body.name)]
+        if body.role == "object" and len(points):
+            pose = np.asarray(body.world_from_body)
+            inside = (points - pose[:3, 3]) @ np.linalg.inv(pose[:3, :3]).T
+            boxes[body.name] = inside.min(axis=0), inside.max(axis=0), pose
+    return boxes
+
+
+def quaternion(pose: ArrayLike) -> Float64:
+    """Return the rotation (wxyz) of a matrix of rotation and uniform scale."""
+    turn = np.asarray(pose)[:3, :3]
+    return np.roll(Rotation.from_matrix(turn / np.cbrt(np.linalg.det(turn))).as_quat(), 1)
