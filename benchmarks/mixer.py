@@ -2,7 +2,7 @@
 
 Every frame one light's power changes, and both sides of the divider are painted anew; a frame counts when its pixels
 have been read back, so nothing is left in a queue. Chromium draws by software unless `--gpu` is given, and then shows
-nothing of what a graphics card does. The scene is a tabletop of one sample a pixel.
+nothing of what a graphics card does. The scene is a tabletop.
 
     python -m benchmarks.mixer
 """
@@ -54,7 +54,7 @@ class Options:
 
 def measure(options: Options, folder: Path) -> str:
     """Make the scene, open the page, and say how many frames a second it paints."""
-    rig = {"lights": (options.lights, options.lights), "insertable": 1, "spp": 1, "denoise": "off"}
+    rig = {"lights": (options.lights, options.lights), "insertable": 1, "spp": 4}
     multilight.make(folder, preset="tabletop", scenes=1, views=1, width=options.side, height=options.side, **rig)
     with Server(open_dataset(folder), 0) as server, sync_playwright() as driver:
         threading.Thread(target=server.serve_forever, daemon=True).start()

@@ -37,7 +37,7 @@ def write_video(path: Path, frames: Iterable[UInt8]) -> float:
         with contextlib.suppress(BrokenPipeError), running:  # where ffmpeg ends early, it says why
             assert running.stdin is not None
             for count, picture in enumerate(chain([first], rest), start=1):  # noqa: B007
-                running.stdin.write(np.ascontiguousarray(picture))
+                running.stdin.write(np.ascontiguousarray(picture).data)
         if running.returncode:
             said.seek(0)
             reason = said.read().decode(errors="replace").strip().splitlines()

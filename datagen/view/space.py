@@ -10,16 +10,17 @@ import viser
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from multilight.datagen.errors import UserError
+from multilight.datagen.errors import StoreError, UserError
 from multilight.datagen.storage.object_variants import ALL
 from multilight.datagen.storage.open_dataset import DatasetSource
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.store import ViewData
 from multilight.datagen.tuples import compose
+from multilight.datagen.tuples.mixing import checked_scene
 from multilight.datagen.view.server import LOOPBACK, PORT
 from multilight.lights.display.tonemap import to_display
 from multilight.lights.relight import mix
-from multilight.lights.spec import AreaLight, Light, SunLight
+from multilight.lights.spec import AreaLight, Light, PointLight, SpotLight, SunLight
 from multilight.scenes.arrays import Float64
 from multilight.scenes.colour import srgb_encode
 from multilight.scenes.gaussians.from_views import SceneGaussians, gaussians_from_views
@@ -30,8 +31,8 @@ SIDE = 256
 FINE = 64.0
 """Covariances travel as half floats, which hold those of millimetres if the scene is that much larger."""
 TO_OPENCV = np.diag([1.0, -1.0, -1.0])
-MARK, AWAY = 0.03, 1.5
-"""Radius of what stands for a small light, and how far from the middle a sun is drawn, in metres."""
+MARK, LONG, AWAY = 0.03, 0.25, 1.5
+"""Metres: radius of what stands for a small light, length of arrows, how far from the middle a sun is drawn."""
 BACK, ASIDE = 1.5, 0.5
 """The page begins so many times as far away as the furthest camera, and so far [rad] to its side."""
 AMBER = (255, 179, 92)
@@ -56,10 +57,10 @@ class Space:
         gui = self.server.gui
         gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False, brand_color=AMBER)
         self.server.scene.set_up_direction("+z")
-        self._scene = gui.add_dropdown("Scene", [str(index) for index in source.indices])
+        self._scene = gui.add_number("Scene", source.indices[0], min=source.indices[0], max=source.indices[-1], step=1)
         self._lighting = gui.add_dropdown("Lighting", ["all"])
         self._shown = {name: gui.add_checkbox(name, name != "boxes") for name in ("cameras", "lights", "boxes")}
-        self._scene.on_update(lambda _: self.show(int(self._scene.value)))
+        self._scene.on_update(self._turn)
         self._lighting.on_update(lambda _: self.relight(self._lighting.value))
         for name, box in self._shown.items():
             box.on_update(lambda _, name=name, box=box: setattr(self._groups[name], "visible", box.value))
@@ -79,7 +80,7 @@ class Space:
 
     def show(self, index: int) -> None:
         """Show a scene in place of the one before."""
-        record = self._source.scene(index)
+        record = checked_scene(self._source, index)
         views = list(self._source.views(record))
         found = seen_gaussians(record, views)
         shape = found.gaussians
@@ -89,24 +90,27 @@ class Space:
             space.reset()
             self._record = record
             self._lights = views[0].lights
-            layers = np.stack([view.variants[ALL] for view in views], axis=1)
-            self._layers = layers.reshape(len(self._lights), len(views), -1, 3)[:, None, *found.sources.T]
+            self._layers = np.empty((len(self._lights), 1, len(shape), 3), np.float32)
+            for number, view in enumerate(views):
+                here = found.sources[:, 0] == number
+                layers = view.variants[ALL].reshape(len(self._lights), -1, 3)
+                self._layers[:, 0, here] = layers[:, found.sources[here, 1]]
             self._groups = {
                 name: space.add_frame(name, show_axes=False, visible=box.value) for name, box in self._shown.items()
             }
+            spread = FINE**2 * axes @ axes.transpose(0, 2, 1)
+            grey, opaque = np.ones_like(shape.means), shape.opacities[:, None]
             self._gaussians = space.add_gaussian_splats(
-                "seen", FINE * shape.means, FINE**2 * axes @ axes.transpose(0, 2, 1), np.ones_like(shape.means),
-                shape.opacities[:, None], scale=1 / FINE,
-            )  # fmt: skip
+                "seen", FINE * shape.means, spread, grey, opaque, scale=1 / FINE
+            )
             middle = np.median(shape.means[found.objects >= 0], axis=0)
             boxes = boxes_of(record, views, found)
             for name, (low, high, pose) in boxes.items():
-                place = {"position": (pose @ [*(low + high) / 2, 1.0])[:3], "wxyz": quaternion(pose)}
-                scale = np.linalg.norm(pose[:3, 0])
-                space.add_box(f"boxes/{name}", AMBER, scale * (high - low), wireframe=True, **place)
-                space.add_label(
-                    f"boxes/{name}/label", name.replace("_", " "), position=(0, 0, scale * (high - low)[2] / 2)
-                )
+                place = (pose @ [*(low + high) / 2, 1.0])[:3]
+                size = np.linalg.norm(pose[:3, 0]) * (high - low)
+                wxyz = quaternion(pose)
+                space.add_box(f"boxes/{name}", AMBER, size, wireframe=True, position=place, wxyz=wxyz)
+                space.add_label(f"boxes/{name}/label", name.replace("_", " "), position=(0, 0, size[2] / 2))
             self._add_cameras(views)
             for light in record.rig.lights:
                 self._add_light(light, middle)
@@ -116,6 +120,13 @@ class Space:
             self.server.initial_camera.look_at = middle
             self._lighting.options = [condition.name for condition in record.conditions]
         self.relight(record.conditions[0].name)
+
+    def _turn(self, event: Any) -> None:
+        """Show the scene that somebody asks for, or say why not."""
+        try:
+            self.show(int(self._scene.value))
+        except (UserError, StoreError) as error:
+            event.client.add_notification(f"Scene {self._scene.value}", str(error))
 
     def relight(self, name: str) -> None:
         """Show the Gaussians under a stored condition."""
@@ -143,34 +154,27 @@ class Space:
         event.client.camera.wxyz, event.client.camera.position = event.target.wxyz, event.target.position
 
     def _add_light(self, light: Light, middle: Float64) -> None:
-        """Draw a light where it is; environments are everywhere, and what glows is in its box."""
+        """Draw a light where it is, and whither it shines; environments are everywhere, what glows is in its box."""
         space, name = self.server.scene, f"lights/{light.name}"
         amount = np.asarray(light.amount)
-        colour = tuple((255 * srgb_encode(amount / max(amount.max(), 1e-9))).astype(int).tolist())
-        if isinstance(light, AreaLight):
-            pose = np.asarray(light.world_from_light)
-            place = pose[:3, 3]
-            space.add_box(
-                f"{name}/face", colour, (light.width, light.height, 0.004), position=place, wxyz=quaternion(pose)
-            )
-            towards = -pose[:3, 2]
-        elif isinstance(light, SunLight):
-            towards = np.asarray(light.direction)
-            place = middle - AWAY * towards
-        elif hasattr(light, "position"):
-            place, towards = np.asarray(light.position), np.asarray(light.direction)
-        else:
-            return
+        colour = (255 * srgb_encode(amount / max(amount.max(), 1e-9))).astype(int)
+        match light:
+            case AreaLight():
+                pose = np.asarray(light.world_from_light)
+                place, towards = pose[:3, 3], -pose[:3, 2]
+                size = light.width, light.height, MARK / 10
+                space.add_box(f"{name}/face", colour, size, position=place, wxyz=quaternion(pose))
+            case SunLight():
+                towards = np.asarray(light.direction)
+                place = middle - AWAY * towards
+            case PointLight() | SpotLight():
+                place, towards = np.asarray(light.position), np.asarray(light.direction)
+            case _:
+                return
+        ends = np.stack([place, place + LONG * towards])[None]
+        space.add_arrows(f"{name}/towards", ends, colour, shaft_radius=MARK / 5, head_radius=MARK / 2, head_length=MARK)
         if not isinstance(light, AreaLight):
             space.add_icosphere(f"{name}/bulb", MARK, colour, position=place)
-        space.add_arrows(
-            f"{name}/towards",
-            np.stack([place, place + 0.25 * towards])[None],
-            colour,
-            shaft_radius=MARK / 5,
-            head_radius=MARK / 2,
-            head_length=MARK,
-        )
         space.add_label(f"{name}/label", light.name.replace("_", " "), position=place)
 
 

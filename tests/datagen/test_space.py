@@ -89,6 +89,11 @@ def test_a_browser_shows_it(browser: Any, space: Space) -> None:
     page.get_by_role("checkbox", name="boxes").click()
     while np.abs(drawn() - before).max() < 50:
         assert time.monotonic() < end, "no box was drawn"
+    page.get_by_role("textbox", name="Scene").fill("1")
+    page.keyboard.press("Enter")
+    while space._record.index != 1:
+        assert time.monotonic() < end, "the other scene was not shown"
+        page.wait_for_timeout(100)
     assert all(url.startswith((space.address, "data:", "blob:")) for url in asked), asked
     page.close()
 
