@@ -54,8 +54,10 @@ class Options:
 
 def measure(options: Options, folder: Path) -> str:
     """Make the scene, open the page, and say how many frames a second it paints."""
-    rig = {"lights": (options.lights, options.lights), "insertable": 1, "spp": 4}
-    multilight.make(folder, preset="tabletop", scenes=1, views=1, width=options.side, height=options.side, **rig)
+    side, lights = options.side, (options.lights, options.lights)
+    multilight.make(
+        folder, preset="tabletop", scenes=1, views=1, width=side, height=side, lights=lights, insertable=1, spp=4
+    )
     with Server(open_dataset(folder), 0) as server, sync_playwright() as driver:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         chromium = shutil.which("chromium") or shutil.which("google-chrome")

@@ -460,7 +460,12 @@ def test_a_rendered_scene_is_mixed_as_python_does(browser: Any, rendered: Datase
 @pytest.mark.slow
 def test_fingers_on_a_phone(browser: Any, rendered: DatasetSource) -> None:
     """Divider, views and sliders follow a finger, a tap reads, and what no finger meant stays."""
-    phone = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True, "device_scale_factor": 2}
+    phone: dict[str, Any] = {
+        "viewport": {"width": 390, "height": 844},
+        "has_touch": True,
+        "is_mobile": True,
+        "device_scale_factor": 2,
+    }
     record = rendered.scene(0)
     with serving(rendered) as address, mixer(browser, address, **phone) as page:
         page.open(scene=0, view=0, object=record.scene.insertable[0], scene_light="all", edits="scene", divider=0.5)
