@@ -33,7 +33,7 @@ FINE = 64.0
 TO_OPENCV = np.diag([1.0, -1.0, -1.0])
 MARK, LONG, AWAY = 0.03, 0.25, 1.5
 """Metres: radius of what stands for a small light, length of arrows, how far from the middle a sun is drawn."""
-BACK, ASIDE = 1.5, 0.5
+BACK, ASIDE = 1.2, 0.5
 """The page begins so many times as far away as the furthest camera, and so far [rad] to its side."""
 AMBER = (255, 179, 92)
 
@@ -47,11 +47,11 @@ class Space:
         Raises `UserError` where the port is taken, `StoreError` where the scene cannot be read.
         """
         self._source, self._lock = source, threading.Lock()
-        with contextlib.redirect_stdout(None):  # it would say where it listens, in a box
-            self.server = viser.ViserServer(LOOPBACK, PORT if port is None else port, label="In space")
+        with contextlib.redirect_stdout(None):  # it tells what it does
+            self.server = viser.ViserServer(LOOPBACK, PORT if port is None else port, label="In space", verbose=False)
         found = self.server.get_port()
         if port not in (None, 0, found):
-            self.server.stop()
+            self.__exit__()
             raise UserError(f"--port {port} cannot be used: it is taken; choose another, or none")
         self.address = f"http://{LOOPBACK}:{found}/"
         gui = self.server.gui
@@ -72,7 +72,8 @@ class Space:
 
     def __exit__(self, *error: object) -> None:
         """End it."""
-        self.server.stop()
+        with contextlib.redirect_stdout(None):
+            self.server.stop()
 
     def serve_forever(self) -> None:
         """Wait; the server has its own threads."""
