@@ -16,6 +16,7 @@ from pathlib import Path
 
 from pebble import ProcessExpired, ProcessFuture, ProcessPool
 
+from multilight.datagen.backends.protocol import LARGE
 from multilight.datagen.config.dataset import DatasetConfig, RendererName
 from multilight.datagen.errors import RunStoppedError, UserError
 from multilight.datagen.files.locks import locked
@@ -33,9 +34,15 @@ BETWEEN = 60.0
 PATIENCE = 600.0
 """Seconds to wait for another run that writes the index, which takes it a few."""
 SCENES_A_WORKER: dict[RendererName, int] = {"cycles": 25, "mitsuba": 50, "analytic": 1000}
-"""Then a fresh process: a long-lived Blender grows. A fresh one has to read its meshes and textures anew."""
+"""Then a fresh process: a long-lived Blender grows. A fresh one has to read its meshes and textures anew, which is
+little beside a scene of large pictures: of such each has a process to itself."""
 SECONDS_A_MEGASAMPLE = 60.0  # a hundred times what a slow core needs; only a hung scene exceeds it
 LEAST_TIMEOUT = 600.0
+
+
+def scenes_a_worker(renderer: RendererName, config: DatasetConfig) -> int:
+    """Return how many scenes a process makes."""
+    return 1 if config.width * config.height > LARGE else SCENES_A_WORKER[renderer]
 
 
 @dataclass(frozen=True)
@@ -99,7 +106,7 @@ def run_scenes(work: Work, missing: Sequence[int], further: Sequence[int]) -> di
     )
     pool = ProcessPool(
         max_workers=workers,
-        max_tasks=SCENES_A_WORKER[work.renderer],
+        max_tasks=scenes_a_worker(work.renderer, plan.config),
         context=multiprocessing.get_context("spawn"),
     )
     hand = _Hand(work, deque(missing), deque(further))

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Self
 
 import drjit as dr
@@ -66,7 +67,7 @@ class MitsubaBackend:
         camera = view_camera(job)
         dr.set_thread_count(job.settings.threads or dr.thread_count())
         synced = self.prepare(job)
-        film = synced.view(job.view, job.settings, (action, name or ""))
+        film = synced.view(job, (action, name or ""))
         layers = film.take((action, name or ""))
         albedo, normal = film.take(("guides", name)) if name and action == "without" else film.mean(("guides", ""))
         stack = LayerStack(
@@ -125,21 +126,22 @@ class _Synced:
         """The whole scene."""
         return self.worlds[None]
 
-    def view(self, number: int, settings: RenderSettings, wanted: Key) -> Film:
+    def view(self, job: RenderJob, wanted: Key) -> Film:
         """Render all variants of a view and the masks of objects, or return them where it was the last.
 
         A film of a large picture from which what is wanted was taken is made anew.
 
         Of guides, albedo and normal, those of the whole scene go by no name, else by that of the object removed.
         """
-        if self._view is None or self._key != (number, settings) or wanted not in self._view:
+        key = job.view, job.settings
+        if self._view is None or self._key != key or wanted not in self._view:
             self._view = None  # frees the device first
-            self._view, self._key = self._render(number, settings), (number, settings)
+            self._view, self._key = self._render(*key, job.scratch), key
         return self._view
 
-    def _render(self, number: int, settings: RenderSettings) -> Film:
+    def _render(self, number: int, settings: RenderSettings, scratch: Path | None) -> Film:
         camera = self.scene.cameras[number]
-        film = Film(camera.height, camera.width)
+        film = Film(camera.height, camera.width, scratch)
         lens = Lens(camera)
         names = self.scene.insertable
         keys = (("all", ""), *(("without", name) for name in names))

@@ -1,6 +1,7 @@
 """The film: sums over samples, pixel by pixel, of which each may have another number."""
 
 from collections.abc import Collection, Iterable, Sequence
+from pathlib import Path
 
 import drjit as dr
 import mitsuba as mi
@@ -9,6 +10,7 @@ import numpy as np
 from multilight.datagen.backends.mitsuba.adaptive import Blocks
 from multilight.datagen.backends.mitsuba.device import on_device
 from multilight.datagen.backends.protocol import LARGE
+from multilight.datagen.files.shelf import Shelf
 from multilight.scenes.arrays import Float32, Int64
 
 Key = tuple[str, str]
@@ -20,11 +22,13 @@ Parts = Sequence[tuple[Key, int]]
 class Film:
     """What a view's samples add up to; always in the same order, so to the same bits.
 
-    Sums lie in the host's memory, where what nothing was added to takes none.
+    Sums lie in the host's memory, where what nothing was added to takes none; those of a large picture on disk, in a
+    nameless file in a folder.
     """
 
-    def __init__(self, height: int, width: int) -> None:
+    def __init__(self, height: int, width: int, scratch: Path | None = None) -> None:
         self._shape = height, width
+        self._shelf = Shelf(scratch) if height * width > LARGE else None
         self._samples: Int64 = np.zeros(height * width, np.int64)
         self._sums: dict[Key, Float32] = {}
         self._squares: dict[Key, Float32] = {}
@@ -42,8 +46,10 @@ class Film:
         first = on_device(mi.UInt32, (np.cumsum(counts) - counts).astype(np.uint32))
 
         def known(sums: dict[Key, Float32], parts: Parts) -> list[Float32]:
-            size = self._samples.size
-            return [plane for key, n in parts for plane in sums.setdefault(key, np.zeros((n, size), np.float32))]
+            for key, planes in parts:
+                if key not in sums:
+                    sums[key] = self._zeros((planes, self._samples.size))
+            return [plane for key, _ in parts for plane in sums[key]]
 
         def add(planes: list[Float32], sums: mi.Float) -> None:
             before = on_device(mi.Float, np.stack([plane[pixels] for plane in planes]))
@@ -59,6 +65,14 @@ class Film:
                 if key in squares:
                     add(known(self._squares, [(key, 1)]), _squared(sums, start, planes, len(blocks)))
                 start += planes
+        self._rest()
+
+    def _rest(self) -> None:
+        if self._shelf is not None:
+            self._shelf.rest()
+
+    def _zeros(self, shape: tuple[int, ...]) -> Float32:
+        return np.zeros(shape, np.float32) if self._shelf is None else self._shelf.zeros(shape, np.float32)
 
     def mean(self, key: Key) -> Float32:
         """Return means over each pixel's samples, (n, H, W, 3)."""
@@ -66,6 +80,7 @@ class Film:
         means = np.empty((len(sums) // 3, *self._shape, 3), np.float32)
         for place, channel in enumerate(sums):
             means[place // 3, ..., place % 3] = (channel / samples).reshape(self._shape)
+        self._rest()
         return means
 
     def take(self, key: Key) -> Float32:
@@ -84,6 +99,7 @@ class Film:
         for plane in self._sums[key]:
             total += plane.reshape(self._shape)
             squared += np.square(plane).reshape(self._shape)
+        self._rest()
         squares = self._squares[key][0].reshape(self._shape)
         return total / blocks, np.maximum(squares - squared / blocks, 0) / (blocks - 1)
 
