@@ -5,7 +5,7 @@ make dataset    sets up, fetches assets, renders a small dataset, verifies it, m
 make test       sets up and runs every test, several files at once
 make quick      in a minute and a half, what a change of pure code needs
 make train      renders or reuses a training set, trains the slim 2D model for 15 minutes, and evaluates it
-make docs       the documents as a site, in out/site
+make docs       the documents as a site, in out/site, with a light mixer of two small scenes
 make check      format, lints, types, who imports what
 make format     puts format and imports right
 make web        builds the light mixer's page from web/ (needs Node)
@@ -67,9 +67,9 @@ train: .venv/installed-train assets
 	$(MULTILIGHT) train slim --data out/training-packed --out out/slim
 	$(MULTILIGHT) evaluate out/training-packed --size 192 --weights out/slim/model.safetensors --out out/slim/evaluation
 
-docs: .venv/installed-dev
+docs: .venv/installed-dev assets
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
-	@echo "site: out/site/index.html"
+	@echo "site: out/site/index.html; its light mixer wants a server: $(BIN)/python -m http.server --directory out/site"
 
 check: .venv/installed-dev
 	$(BIN)/ruff format --check

@@ -47,7 +47,7 @@ CONTINUED = ("dataset", "scene", "import", "merge", "pack", "export", "train", "
 """Commands that go on where they were stopped."""
 GROUPS = {
     "make": ("dataset", "scene", "import", "plan", "merge"),
-    "look": ("status", "view", "verify", "mix", "sheet", "stats", "query"),
+    "look": ("status", "view", "video", "verify", "mix", "sheet", "stats", "query"),
     "share": ("export", "pack"),
     "learn": ("train", "evaluate", "ablate", "study"),
     "use on your own pictures": ("harmonize", "insert"),
@@ -79,6 +79,7 @@ COMMANDS: dict[str, type] = {
     "status": status.Status,
     "verify": inspect.Verify,
     "view": inspect.View,
+    "video": inspect.Video,
     "mix": inspect.Mix,
     "sheet": inspect.Sheet,
     "stats": inspect.Stats,

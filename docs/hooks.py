@@ -1,12 +1,20 @@
-"""What `mkdocs build` is told besides: the root's documents and the examples are pages of the site as well."""
+"""What `mkdocs build` is told besides: the root's documents and the examples are pages; the light mixer is there."""
 
 import re
 from pathlib import Path
 
 from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.exceptions import Abort
 from mkdocs.structure.files import File, Files
+from mkdocs.structure.nav import Link, Navigation
+from mkdocs.structure.pages import Page
+
+from multilight.datagen.cli import main
 
 ROOT = Path(__file__).parents[1]
+MIXER = "mixer/index.html"
+SMALL = ["--preset", "tabletop", "--views", "3", "--width", "256", "--height", "192", "--seed", "42"]
+"""How the mixer's two scenes are made, which takes a minute; the folder `extra.scenes` keeps them."""
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -22,8 +30,27 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     return files
 
 
-def on_page_markdown(markdown: str, **_: object) -> str:
-    """Let links between the repository's files lead to the site's pages."""
+def on_nav(nav: Navigation, **_: object) -> Navigation:
+    """Name the mixer, which is no page of mkdocs."""
+    nav.items.insert(2, Link("Try the light mixer", MIXER))
+    return nav
+
+
+def on_post_build(config: MkDocsConfig) -> None:
+    """Put the mixer with two small scenes beside the pages."""
+    scenes = Path(config.extra["scenes"])
+    made = ["dataset", "--out", str(scenes), "--scenes", "2", *([] if scenes.exists() else SMALL)]
+    for words in (made, ["export", "web", str(scenes), "--out", str(Path(config.site_dir, MIXER).parent)]):
+        if main(words):
+            raise Abort(f"multilight {' '.join(words)}: failed")
+
+
+def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
+    """Let links between the repository's files lead to the site's pages, and to the mixer."""
+    if page.file.src_uri == "viewing.md":
+        markdown = markdown.replace(
+            "\n\n", f'\n\n<a href="{MIXER}"><strong>Try it here</strong></a>, with two small scenes.\n\n', 1
+        )
     markdown = re.sub(r"\]\((?:\.\./)?examples/(\w+)\.py\)", r"](examples/\1.md)", markdown)
     markdown = re.sub(
         r"\[([^\]]+)\]\((?:examples|docs|CITATION\.cff|LICENSE|(?:\.\./)?deploy/[\w.-]+)\)", r"\1", markdown

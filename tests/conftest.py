@@ -7,7 +7,7 @@ import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -16,6 +16,7 @@ from multilight.datagen.cli import main
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.store import ViewData, read_scene, read_view, scene_dir
 from multilight.scenes.assets import mesh_memory
+from tests.browsing import launched
 
 if TYPE_CHECKING:
     from multilight.model.captures.capture import Capture
@@ -61,6 +62,13 @@ def memory_given_back() -> Iterator[None]:
     if "drjit" in sys.modules:
         sys.modules["drjit"].flush_malloc_cache()
     ctypes.CDLL(None).malloc_trim(0)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Headless Chromium."""
+    with launched() as browser:
+        yield browser
 
 
 @pytest.fixture(scope="session")

@@ -20,17 +20,24 @@ from multilight.model.data import MultiLightDataset
 from tests import ROOT
 from tests.conftest import SPHERES
 from tests.model.test_harmonize import depth_onnx
+from tests.scenes.custom_scenes import room
 from tests.test_documents import blocks, printed
 
-PAGES = ("tutorial", "making", "dataset", "viewing", "exports", "training", "model")
+PAGES = (
+    "tutorial", "making", "own_models", "own_rooms", "own_settings", "dataset", "viewing", "exports", "training",
+    "scale_out", "published_layout", "write_an_export", "model",
+)  # fmt: skip
 SIZES = {
     "dataset": [*SPHERES, "--views", "4", "--scenes", "3", "--config", "demo.toml"],
     "plan": [*SPHERES, "--scenes", "3", "--minutes", "0.01"],
     "train": ["--minutes", "0.001"],
     "evaluate": ["--size", "32", "--groups", "1", "--splits", "train"],
     "insert": ["--side", "16"],
+    "export dtc-multilight": ["--size", "32", "--map-size", "16"],
 }
 """What a command is given besides, so that it takes seconds."""
+INSIDE = ["--scenes", "1", "--views", "1", "--width", "32", "--height", "32", "--spp", "1"]
+"""What scenes in a file of one's own are given, which need a renderer."""
 SPLITS = "kind = 'spheres'\nood_kinds = []\nsplits = {train = 0.5, val = 0.2, test = 0.2, test_ood = 0.1}\n"
 
 
@@ -50,6 +57,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory, capture_folders: dict[str, 
         (here / name).mkdir()
         shutil.copy(here / "a.png", here / name)
     trimesh.creation.icosphere(radius=0.1).export(here / "vase.glb")
+    room().export(here / "room.glb")
     depth_onnx(here / "depth_anything_v2.onnx")
     return here
 
@@ -62,13 +70,15 @@ def as_spheres(text: str) -> str:
 @pytest.mark.parametrize("page", PAGES)
 def test_commands_run_as_printed(page: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
-    (folder / "mine.toml").write_text("".join(blocks(ROOT / "docs" / "making.md", "toml")))
+    (folder / "mine.toml").write_text(blocks(ROOT / "docs" / "own_settings.md", "toml")[0])
+    (folder / "published.toml").write_text(blocks(ROOT / "docs" / "published_layout.md", "toml")[0])
     for program, *words in printed(ROOT / "docs" / f"{page}.md"):
         assert program == "multilight", words
         words = [as_spheres(word) for word in words]
         if words[0] == "view":  # which serves until it is stopped: tests/datagen/test_view.py
             continue
-        code = main([*words, *SIZES.get(words[0], [])], MAKING | LEARNING)
+        given = INSIDE if "custom" in words else SIZES.get(words[0], SIZES.get(" ".join(words[:2]), []))
+        code = main([*words, *given], MAKING | LEARNING)
         # Spheres do not glow: a look-up may find none.
         assert code == 0 or (code == 1 and words[0] == "query"), words
 
@@ -97,5 +107,5 @@ def test_code_runs_as_printed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> 
                 code = re.sub(r"emissive or mirror", "objects > 0", as_spheres(code))
                 exec(compile(code.replace("out/packed", "out/dataset"), f"{page}.md", "exec"), names)
                 ran += 1
-    assert ran == 4
+    assert ran == 5
     assert isinstance(names["data"], MultiLightDataset)

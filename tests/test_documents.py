@@ -86,7 +86,7 @@ def test_make_targets_exist(page: Path) -> None:
 def options(kind: Any) -> Iterator[str]:
     """Name every option of a command, those of its sub-commands among them."""
     for field, hint in get_type_hints(kind).items():
-        yield "--" + field.replace("_", "-")
+        yield "--" + field.lstrip("_").replace("_", "-")
         for part in (hint, *get_args(hint)):
             if dataclasses.is_dataclass(part):
                 yield from options(part)
@@ -186,10 +186,12 @@ def test_example_of_reading_runs_as_printed(spheres_dataset: Path, monkeypatch: 
 
 
 def test_printed_configuration_and_condition_are_valid(tmp_path: Path) -> None:
-    (toml,) = blocks(ROOT / "docs" / "making.md", "toml")
     file = tmp_path / "mine.toml"
-    file.write_text(toml)
-    assert load_config(file, {}).kind == "room"
+    kinds = []
+    for toml in (toml for page in PAGES for toml in blocks(page, "toml")):
+        file.write_text(toml)
+        kinds.append(load_config(file, {}).kind)
+    assert kinds == ["room", "tabletop", "tabletop"]
     (text,) = blocks(ROOT / "docs" / "dataset.md", "json")
     assert LightingCondition.from_json(text).exposure_ev == 0.5
 

@@ -91,7 +91,7 @@ def _options(kind: type) -> Iterator[str]:
         if _is_group(inner):
             yield from _options(inner)
         else:
-            yield f"--{name.replace('_', '-')}"
+            yield f"--{name.lstrip('_').replace('_', '-')}"  # `_3d`: names begin with no digit
 
 
 @REGISTRY.struct_rule

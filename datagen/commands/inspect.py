@@ -1,4 +1,4 @@
-"""Commands that look at what was made: `verify`, `view`, `mix`, `sheet`, `stats`."""
+"""Commands that look at what was made: `verify`, `view`, `video`, `mix`, `sheet`, `stats`."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +13,9 @@ from multilight.datagen.tuples.request import MixRequest
 
 if TYPE_CHECKING:
     from multilight.datagen.stats.collect import Summary
+    from multilight.datagen.storage.open_dataset import DatasetSource
+    from multilight.datagen.view.server import Server
+    from multilight.datagen.view.space import Space
 
 
 @dataclass
@@ -69,11 +72,13 @@ class View:
     """Port to listen on (default: 8765, or a free one where that is taken)."""
     no_open: bool = field(default=False, kw_only=True)
     """Only serve the page; open no browser."""
+    _3d: Annotated[bool, tyro.conf.arg(name="3d")] = field(default=False, kw_only=True)
+    """Show the scenes in space instead: what their views see, relit; cameras, lights and boxes of objects."""
 
     def run(self) -> int:
         """Serve the page until it is stopped."""
         from multilight.datagen.storage.open_dataset import open_dataset
-        from multilight.datagen.view.server import listen, open_browser
+        from multilight.datagen.view.server import open_browser
 
         if self.port is not None and not 0 <= self.port < 1 << 16:
             raise UserError(f"--port {self.port} must be 0 to {(1 << 16) - 1}")
@@ -81,11 +86,22 @@ class View:
         if not source.indices:
             chosen = f" for which {self.where}" if self.where else ""
             raise UserError(f"{self.address} holds no finished scene{chosen}")
-        with listen(source, self.port) as server:
+        with self._listening(source) as server:
             opened = not self.no_open and open_browser(server.address)
             print(f"{server.address} {'is open in the browser' if opened else 'shows it'}; Ctrl+C ends", flush=True)
             server.serve_forever()
         return 0
+
+    def _listening(self, source: "DatasetSource") -> "Server | Space":
+        from multilight.datagen.view.server import listen
+
+        if not self._3d:
+            return listen(source, self.port)
+        try:
+            from multilight.datagen.view.space import Space
+        except ModuleNotFoundError as error:
+            raise UserError(f"--3d needs {error.name}: pip install 'multilight[3d]'") from None
+        return Space(source, self.port)
 
 
 class Mix(MixRequest):
@@ -96,6 +112,45 @@ class Mix(MixRequest):
         from multilight.datagen.tuples.mixing import write_mix
 
         write_mix(self)
+        return 0
+
+
+@dataclass
+class Video:
+    """Write a film of a scene: its views, lit by one light after another; then composite against target.
+
+    Small pictures are enlarged to 480 lines. Many views make a quicker film, not a much longer one.
+    """
+
+    dir: tyro.conf.Positional[str]
+    """Folder or address of the dataset."""
+    out: Path = field(kw_only=True)
+    """File to write: .mp4, or .webp, which goes round for ever."""
+    scene: int = 0
+    """Index of the scene."""
+    object: str | None = None
+    """Insertable object of the composites (default: the one that covers most of a view)."""
+
+    def run(self) -> int:
+        """Write the film and return the exit code."""
+        from multilight.datagen.commands.output import print_written, progress
+        from multilight.datagen.files.outputs import check_file, written
+        from multilight.datagen.files.video import CODECS, write_video
+        from multilight.datagen.storage.open_dataset import open_dataset
+        from multilight.datagen.tuples.film import film
+        from multilight.datagen.tuples.mixing import checked_object, checked_scene
+
+        if self.out.suffix.lower() not in CODECS:
+            raise UserError(f"--out {self.out}: the suffix must be {' or '.join(CODECS)}")
+        source = open_dataset(self.dir)
+        record = checked_scene(source, self.scene)
+        if self.object is not None:
+            checked_object(self.object, record)
+        check_file(self.out)
+        with progress("shots", "reading") as report, written(self.out) as work:
+            seconds = write_video(work, film(source, record, self.object, report))
+        views, lights = len(record.views), len(record.rig.lights)
+        print_written(self.out, f"{seconds:.0f} s, {views} views, {lights} lights")
         return 0
 
 

@@ -21,6 +21,8 @@ LONGEST_WORD = 40
 """Letters of a word that are shown."""
 STYLE: Any = {
     "font.size": 8,
+    "figure.facecolor": "none",
+    "axes.facecolor": "none",
     "axes.edgecolor": EDGE,
     "axes.labelcolor": INK,
     "xtick.color": INK,

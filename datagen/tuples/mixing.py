@@ -2,7 +2,7 @@
 
 import json
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from PIL import Image
 
 from multilight.datagen.errors import UserError
 from multilight.datagen.files.outputs import check_file, written
-from multilight.datagen.storage.open_dataset import open_dataset
+from multilight.datagen.storage.open_dataset import DatasetSource, open_dataset
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.store import ViewData, write_exr
 from multilight.datagen.text import did_you_mean, plain
@@ -54,9 +54,7 @@ def write_mix(request: MixRequest) -> None:
     what = request.what or ("composite" if request.insert_condition else "target")
     files = _checked_files(request, what)
     source = open_dataset(request.address)
-    if request.scene not in source.indices:
-        raise UserError(f"--scene {request.scene} is not in {request.address}; it has {_short(source.indices)}")
-    record = source.scene(request.scene)
+    record = checked_scene(source, request.scene)
     if request.lights:
         _print_lights(record)
         return
@@ -64,10 +62,7 @@ def write_mix(request: MixRequest) -> None:
         check_file(path)
     if not 0 <= request.view < len(record.views):
         raise UserError(f"--view {request.view} must be 0 to {len(record.views) - 1}")
-    names = record.scene.insertable
-    name = request.object or names[0]
-    if name not in names:
-        raise UserError(f"--object {name} is not insertable; {did_you_mean(name, names)}choose one of {list(names)}")
+    name = checked_object(request.object or record.scene.insertable[0], record)
     view = source.view(record, request.view)
     saved: list[tuple[LightingCondition, Path | None]] = []
     if what in LIT:
@@ -90,6 +85,22 @@ def write_mix(request: MixRequest) -> None:
         if file is not None:
             save_condition(condition, file)
             print(plain(f"{file}: {in_words(condition, view.lights)}"))
+
+
+def checked_scene(source: DatasetSource, index: int) -> SceneRecord:
+    """Read the scene that `--scene` names; raises `UserError` where there is none."""
+    if index not in source.indices:
+        there = f"{source.indices[0]} to {source.indices[-1]}" if source.indices else "none"
+        raise UserError(f"--scene {index} is not in {source.address}; it has {there}")
+    return source.scene(index)
+
+
+def checked_object(name: str, record: SceneRecord) -> str:
+    """Return the name that `--object` gives; raises `UserError` where it is no insertable object's."""
+    names = record.scene.insertable
+    if name not in names:
+        raise UserError(f"--object {name} is not insertable; {did_you_mean(name, names)}choose one of {list(names)}")
+    return name
 
 
 def _checked_files(request: MixRequest, what: str) -> list[Path]:
@@ -161,7 +172,3 @@ def _stored(what: str, view: ViewData, name: str) -> Picture:
             ids = geometry.instance_id
             told = f"ids of {len(np.unique(ids[ids > 0]))} bodies, each its place in scene.json plus one"
             return Picture({"ID": ids.astype(np.uint32)}, pictures.ids_picture(ids), told)
-
-
-def _short(indices: Sequence[int]) -> str:
-    return f"{indices[0]} to {indices[-1]}" if indices else "none"

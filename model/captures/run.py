@@ -7,6 +7,7 @@ import numpy as np
 
 from multilight.datagen.errors import full_disk_told
 from multilight.datagen.files.outputs import written
+from multilight.datagen.files.video import write_video
 from multilight.datagen.report import Report
 from multilight.datagen.storage.store import write_text
 from multilight.model.captures.assets import load_asset
@@ -14,13 +15,13 @@ from multilight.model.captures.capture import Capture, check_alignment
 from multilight.model.captures.depths import with_depth
 from multilight.model.captures.insert import Harmonized, Inserted, harmonize_capture, insert_object
 from multilight.model.captures.objects import PlacedObject
+from multilight.model.captures.orbit import orbit_cameras, render_gaussians
 from multilight.model.captures.placing import placed
 from multilight.model.captures.planes import scene_up
 from multilight.model.captures.read import read_capture
 from multilight.model.captures.request import Insertion
-from multilight.model.captures.video import orbit_cameras, render_gaussians, write_video
 from multilight.model.device import chosen_device
-from multilight.model.inference.pictures import write_picture
+from multilight.model.inference.pictures import to_bytes, write_picture
 from multilight.model.networks.checkpoint import load_network, load_network3d
 from multilight.scenes.gaussians.ply import write_gaussians
 
@@ -54,9 +55,9 @@ def insert_into_files(wanted: Insertion, report: Report) -> str:
         if frames:
             centre = pose[:3, :3] @ [0.0, 0.0, asset.size[2] / 2] + pose[:3, 3]
             orbit = orbit_cameras(capture.cameras, np.asarray(centre), scene_up(capture), frames)
-            shown = (render_gaussians(camera, result.gaussians) for camera in orbit)
+            shown = (to_bytes(render_gaussians(camera, result.gaussians)) for camera in orbit)
             with written(out / "orbit.mp4") as work:
-                write_video(work, shown, (orbit[0].width, orbit[0].height))
+                write_video(work, shown)
     return f"{views} views of {capture.images.shape[2]} x {capture.images.shape[1]}, the object in {seen} of them"
 
 

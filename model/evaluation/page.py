@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from PIL import Image
 
@@ -140,19 +141,21 @@ def _numbers(pair: tuple[float, float]) -> dict[str, float] | None:
 
 def _page(found: Evaluation, tables: list[Table], about: Mapping[str, str]) -> str:
     last = found.methods[-1]
+    examples = [_case(shown, found.methods) for shown in found.examples]
     return render_page(
         Path(__file__).with_name("page.html.jinja"),
         title="Evaluation",
         about=about,
         tables=tables,
-        examples=[_case(shown, found.methods) for shown in found.examples],
+        titles=[figure["title"] for figure in examples[0]["figures"]] if examples else [],
+        examples=examples,
         worst=[_case(shown, (last,)) for shown in found.worst],
         last=last,
         region=JUDGED_BY,
     )
 
 
-def _case(shown: Shown, methods: tuple[str, ...]) -> dict[str, object]:
+def _case(shown: Shown, methods: tuple[str, ...]) -> dict[str, Any]:
     """Lay a case out in a row: composite, outputs, truth, and where the last output differs from it."""
     case, figures = shown.case, []
     if methods[0] != "raw composite":

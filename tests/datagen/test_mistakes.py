@@ -37,7 +37,14 @@ FOLDERS = (  # what writes a folder
 FILES = ("mix DATA --out", "sheet DATA --out", f"{PICTURES} --out")
 READERS = (  # what reads a dataset
     *("status", "verify", "query", "stats", "view --no-open"),
-    *("mix --out O.png", "sheet --out O.png", "pack --out O", "evaluate --out O", "ablate head --out O"),
+    *(
+        "mix --out O.png",
+        "sheet --out O.png",
+        "video --out O.mp4",
+        "pack --out O",
+        "evaluate --out O",
+        "ablate head --out O",
+    ),
     "export dtc-multilight --out O",
     "merge --out O",
     *(f"export {name} --out O" for name in ("usd", "webdataset", "nerfstudio", "colmap", "luxremix", "web")),
@@ -116,6 +123,7 @@ MISTAKES = {
     "query DATA ;drop": "where ';drop': unable to parse ';drop'",
     "export colmap DATA --out O --conditions 99": "--conditions 99 must be 1 to 12, as many as scene 0 has",
     "sheet DATA --out O.txt": "the suffix must be",
+    "video DATA --out O.gif": "the suffix must be .mp4 or .webp",
     "mix DATA --out O.txt": "O.txt",
     f"{PICTURES} --out O.txt": "no picture is written that ends in '.txt'; use .png or .jpg",
     "evaluate --out O": "say what to evaluate on",

@@ -5,7 +5,6 @@ import contextlib
 import http.client
 import io
 import json
-import shutil
 import subprocess
 import sys
 import threading
@@ -31,17 +30,12 @@ from multilight.lights.photometry.colour import temperature_to_rgb
 from multilight.lights.spec import LightingCondition
 from multilight.scenes.colour import luminance
 from tests import ROOT
+from tests.browsing import barriers, needs_npm, swipe
 from tests.datagen.servers import http_server
 
-sync_api = pytest.importorskip("playwright.sync_api", reason="pip install playwright: the browser's driver")
-
 WEB = ROOT / "web"
-AXE = WEB / "node_modules" / "axe-core" / "axe.min.js"
-BROWSERS = ("chromium", "google-chrome")
-SOFTWARE = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-gpu-watchdog"]
 NO_WEBGL = "HTMLCanvasElement.prototype.getContext = new Proxy(HTMLCanvasElement.prototype.getContext, {apply: \
 (call, canvas, words) => words[0] === 'webgl2' ? null : Reflect.apply(call, canvas, words)})"
-needs_npm = pytest.mark.skipif(not AXE.exists(), reason="web/node_modules is missing: make web")
 
 
 @dataclass
@@ -97,17 +91,6 @@ def serving(source: DatasetSource) -> Iterator[str]:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         yield server.address
         server.shutdown()
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    found = next(filter(None, map(shutil.which, BROWSERS)), None)
-    if found is None:
-        pytest.skip(f"there is none of {', '.join(BROWSERS)}; as root: apt-get install chromium")
-    with sync_api.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=found, args=SOFTWARE)
-        yield browser
-        browser.close()
 
 
 @pytest.fixture(scope="module")
@@ -381,15 +364,14 @@ def test_the_page_as_files(
 @needs_npm
 @pytest.mark.parametrize(("scheme", "width", "height"), [("dark", 1440, 900), ("light", 390, 844)])
 def test_nothing_bars_anyone(browser: Any, address: str, scheme: str, width: int, height: int) -> None:
-    code = f"{AXE.read_text()}\naxe.run().then(found => found.violations.map(each => each.id + each.nodes[0].html))"
     view = {"width": width, "height": height}
     with mixer(browser, address, viewport=view, color_scheme=scheme, reduced_motion="reduce") as page:
         page.open(scene=0, view=0, object="none", edits="object", pick="3,3,target", curve="stops")
-        assert page.page.evaluate(code) == []
+        assert barriers(page.page) == []
         assert page.page.evaluate("document.documentElement.scrollWidth") <= width
         for title in ("Help", "Save the lighting", "All scenes"):
             page.page.get_by_title(title).click()
-            assert page.page.evaluate(code) == [], title
+            assert barriers(page.page) == [], title
             page.page.keyboard.press("Escape")
 
 
@@ -457,3 +439,69 @@ def test_the_command_serves_until_it_is_stopped(spheres_dataset: Path) -> None:
         assert [scene["index"] for scene in json.loads(ask(address, "/data/dataset.json").content)["scenes"]] == [0, 1]
         running.terminate()  # not SIGINT, which background jobs of a shell ignore
         assert (running.wait(60), running.stderr.read()) == (143, "stopped\n")
+
+
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory: pytest.TempPathFactory) -> DatasetSource:
+    """A small tabletop by whichever renderer is there: noise, highlights beyond white, soft edges."""
+    root = tmp_path_factory.mktemp("rendered") / "dataset"
+    size = ["--width", "96", "--height", "72", "--views", "2", "--spp", "4", "--seed", "42"]
+    assert main(["dataset", "--out", str(root), "--preset", "tabletop", "--scenes", "1", "--workers", "1", *size]) == 0
+    return open_dataset(root)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("script", ["", NO_WEBGL], ids=["webgl", "processor"])
+def test_a_rendered_scene_is_mixed_as_python_does(browser: Any, rendered: DatasetSource, script: str) -> None:
+    with serving(rendered) as address, mixer(browser, address, script=script) as page:
+        assert worst_of(page, rendered, np.random.default_rng(11), 10) <= 2
+
+
+@pytest.mark.slow
+def test_fingers_on_a_phone(browser: Any, rendered: DatasetSource) -> None:
+    """Divider, views and sliders follow a finger, a tap reads, and what no finger meant stays."""
+    phone: dict[str, Any] = {
+        "viewport": {"width": 390, "height": 844},
+        "has_touch": True,
+        "is_mobile": True,
+        "device_scale_factor": 2,
+    }
+    record = rendered.scene(0)
+    with serving(rendered) as address, mixer(browser, address, **phone) as page:
+        page.open(scene=0, view=0, object=record.scene.insertable[0], scene_light="all", edits="scene", divider=0.5)
+        box = page.page.locator(".frame").bounding_box()
+
+        def at(x: float, y: float = 0.2) -> tuple[float, float]:
+            return box["x"] + x * box["width"], box["y"] + y * box["height"]
+
+        swipe(page.page, at(0.5), at(0.2))
+        page.painted()
+        assert float(page.state()["divider"]) == pytest.approx(0.2, abs=0.02)
+        swipe(page.page, at(0.4), at(0.95))
+        page.painted()
+        assert (page.state()["view"], page.state()["divider"][:3]) == ("1", "0.2")
+        page.page.touchscreen.tap(*at(0.6, 0.7))
+        page.painted()
+        x, y, pane = page.state()["pick"].split(",")
+        assert (int(x) / 96, int(y) / 72, pane) == (
+            pytest.approx(0.6, abs=0.02),
+            pytest.approx(0.7, abs=0.02),
+            "target",
+        )
+        for word in ("pixel", "target", "depth", "object", "material"):
+            assert word in page.text(".read")
+
+        page.page.evaluate("document.querySelector('.panel').scrollIntoView()")
+        light = page.page.get_by_label(f"Power of {record.rig.names[0].replace('_', ' ')}")
+        light.scroll_into_view_if_needed()
+        slider = light.bounding_box()
+        middle = slider["y"] + slider["height"] / 2
+        swipe(page.page, (slider["x"] + slider["width"] / 2, middle), (slider["x"] + 0.8 * slider["width"], middle))
+        page.painted()
+        stops = float(page.state()["scene_light"].split(";")[1].split(":")[1])
+        assert stops > 1
+        before = page.page.evaluate("scrollY")
+        swipe(page.page, (200, 800), (200, 600))
+        page.until(f"scrollY > {before} + 50")
+        page.painted()
+        assert float(page.state()["scene_light"].split(";")[1].split(":")[1]) == stops

@@ -4,6 +4,7 @@ import json
 import mmap
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,6 +28,7 @@ from multilight.model.networks.compositing2d import Compositing2D
 from multilight.scenes.cameras.pinhole import camera_from_fov, look_at, project, unproject
 from multilight.scenes.colour import srgb_encode
 from multilight.scenes.spec import Camera
+from tests.browsing import AXE, barriers, swipe
 
 SETTINGS = CaseSettings(splits=("train", "val", "test", "test_ood"), groups=2, size=64)
 
@@ -212,23 +214,71 @@ def test_the_best_of_a_column_is_set_off() -> None:
     assert table.cells("c") == [("19.00", False), ("3", False), ("2.0", False)]
 
 
-def test_command_writes_tables_and_pictures(spheres_dataset: Path, tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def evaluated(spheres_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What the command writes of an untrained network, which returns the composite."""
+    folder = tmp_path_factory.mktemp("evaluated")
     config = NetworkConfig(width=16, groups=1, blocks=2, heads=2, window=4, pooled=2)
-    save_network(tmp_path / "tiny.safetensors", Compositing2D(config), config, {})
-    words = ["evaluate", str(spheres_dataset), "--weights", str(tmp_path / "tiny.safetensors"), "--groups", "2"]
-    words += ["--size", "48", "--splits", "train", "val", "test", "--out", str(tmp_path / "out")]
+    save_network(folder / "tiny.safetensors", Compositing2D(config), config, {})
+    words = ["evaluate", str(spheres_dataset), "--weights", str(folder / "tiny.safetensors"), "--groups", "2"]
+    words += ["--size", "48", "--splits", "train", "val", "test", "--out", str(folder / "out")]
     assert main(words, COMMANDS) == 0
-    page = (tmp_path / "out" / "index.html").read_text()
+    return folder / "out"
+
+
+def test_command_writes_tables_and_pictures(evaluated: Path) -> None:
+    page = (evaluated / "index.html").read_text()
     assert not re.search(r'(src|href)="(?!data:)', page), "the page is self-contained"
     assert page.count("data:image/jpeg") > 12
-    found = json.loads((tmp_path / "out" / "evaluation.json").read_text())
+    found = json.loads((evaluated / "evaluation.json").read_text())
     assert list(found["methods"]) == ["raw composite", "colour transfer", "histogram", "Poisson", "tiny"]
-    # An untrained network returns the composite.
     untrained, raw = (found["methods"][name]["all"]["image"]["PSNR"] for name in ("tiny", "raw composite"))
     assert untrained == pytest.approx(raw, abs=0.05)
     assert all(set(frame["scores"]) == set(found["methods"]) for frame in found["frames"])
-    table = (tmp_path / "out" / "table.md").read_text()
+    table = (evaluated / "table.md").read_text()
     assert f"| raw composite | {raw:.2f}" in table or f"| raw composite | **{raw:.2f}**" in table
+
+
+def test_the_divider_follows_mouse_finger_and_keys(browser: Any, evaluated: Path) -> None:
+    for scheme, width in (("dark", 1280), ("light", 390)):
+        view = {"width": width, "height": 844}
+        page = browser.new_page(viewport=view, color_scheme=scheme, has_touch=True)
+        complaints: list[str] = []
+        page.on("console", lambda said, complaints=complaints: complaints.append(said.text))
+        page.on("pageerror", lambda error, complaints=complaints: complaints.append(str(error)))
+        page.goto((evaluated / "index.html").as_uri())
+        page.get_by_role("combobox", name="Left").select_option("target")
+        compare = page.locator(".compare").first
+        compare.scroll_into_view_if_needed()
+        box = compare.bounding_box()
+        place = [(box["x"] + share * box["width"], box["y"] + 40) for share in (0.5, 0.8, 0.3)]
+        page.mouse.move(*place[0])
+        page.mouse.down()
+        page.mouse.move(*place[1], steps=3)
+        page.mouse.up()
+        assert divided(compare) == pytest.approx(80, abs=1)
+        page.keyboard.press("ArrowLeft")
+        assert divided(compare) == pytest.approx(79, abs=1)
+        swipe(page, place[1], place[2])
+        assert divided(compare) == pytest.approx(30, abs=2)
+        first = page.locator(".case").first
+        sources = [image.get_attribute("src") for image in compare.locator("img").all()]
+        assert sources == [
+            first.locator(f"figure[data-name='{name}'] img").get_attribute("src") for name in ("target", "tiny")
+        ]
+        assert (
+            compare.get_by_role("slider").get_attribute("aria-label").endswith("target on the left, tiny on the right")
+        )
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        assert not AXE.exists() or barriers(page) == []
+        assert not complaints
+        page.close()
+
+
+def divided(compare: Any) -> float:
+    """Return where the picture on the right begins, in percent of the width."""
+    clip = compare.evaluate("compare => getComputedStyle(compare.children[1]).clipPath")
+    return float(clip.removeprefix("inset(0px 0px 0px ").removesuffix("%)"))
 
 
 def test_command_asks_for_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,11 +1,9 @@
 """Objects put into captures: planes, occlusion, harmonizing, Gaussians and video, held against closed forms."""
 
 import json
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 
-import imageio_ffmpeg
 import numpy as np
 import pytest
 import torch
@@ -24,10 +22,10 @@ from multilight.model.captures.capture import Capture
 from multilight.model.captures.confidence import repaired
 from multilight.model.captures.insert import harmonize_capture, insert_object
 from multilight.model.captures.objects import AMBIENT, FROM_CAMERA, PlacedObject
+from multilight.model.captures.orbit import GAP, orbit_cameras
 from multilight.model.captures.placing import placed, upright
 from multilight.model.captures.planes import find_plane, free_place, scene_centre, scene_up
 from multilight.model.captures.request import Wish
-from multilight.model.captures.video import GAP, orbit_cameras, write_video
 from multilight.model.cli import COMMANDS
 from multilight.model.configs.stage2d import NetworkConfig
 from multilight.model.configs.stage3d import SLIM3D
@@ -39,6 +37,7 @@ from multilight.scenes.cameras.pinhole import camera_from_fov, look_at, project,
 from multilight.scenes.gaussians.ply import read_gaussians
 from multilight.scenes.poses import matrix4
 from multilight.scenes.spec import Camera, Rectangle, Sphere
+from tests.datagen.test_video import decoded
 
 pytest.importorskip("pycolmap")
 
@@ -203,26 +202,6 @@ def test_orbit_keeps_its_distance_and_stays_where_cameras_were() -> None:
             assert seen.min() > 0.2 - 1e-6
             assert seen.max() < 1.2 + 1e-6
             assert 2 * np.pi - np.ptp(seen) > GAP
-
-
-def decoded(path: Path, size: tuple[int, int]) -> tuple[str, np.ndarray]:
-    """Decode a video: what ffmpeg says of it, and its frames (N, H, W, 3) in [0, 1]."""
-    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-i", str(path), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
-    done = subprocess.run(command, capture_output=True, check=True)
-    return done.stderr.decode(), np.frombuffer(done.stdout, np.uint8).reshape(-1, size[1], size[0], 3) / 255.0
-
-
-def test_video_can_be_read_back(tmp_path: Path) -> None:
-    colours = np.linspace(0.1, 0.9, 12)[:, None] * [1.0, 0.5, 0.2]
-    frames = (np.broadcast_to(colour, (48, 64, 3)).astype(np.float32) for colour in colours)
-    write_video(tmp_path / "v.mp4", frames, (64, 48))
-    told, read = decoded(tmp_path / "v.mp4", (64, 48))
-    assert "64x48" in told
-    assert "24 fps" in told
-    assert len(read) == 12
-    np.testing.assert_allclose(read.mean(axis=(1, 2)), colours, atol=0.04)
-    with pytest.raises(UserError, match="cannot be written"):
-        write_video(tmp_path / "no" / "v.mp4", iter([np.zeros((48, 64, 3), np.float32)]), (64, 48))
 
 
 def random_network() -> Compositing2D:

@@ -1,8 +1,8 @@
 """A blind comparison: the page in a real browser, and what its answers say, against closed forms."""
 
 import json
+import re
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from multilight.datagen.cli import main
 from multilight.model.cli import COMMANDS
 from multilight.model.study.answers import Answer, Answers, judge
 from multilight.model.study.page import Key
+from tests.browsing import AXE, barriers
 
 PAIRS = 12
 RED, GREEN = (200, 30, 30), (30, 200, 30)
@@ -33,18 +34,6 @@ def folders(tmp_path: Path) -> tuple[Path, Path]:
     return tmp_path / "ours", tmp_path / "theirs"
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    sync_api = pytest.importorskip("playwright.sync_api", reason="pip install playwright: the browser's driver")
-    found = shutil.which("chromium") or shutil.which("google-chrome")
-    if found is None:
-        pytest.skip("there is no chromium; as root: apt-get install chromium")
-    with sync_api.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=found, args=["--no-sandbox"])
-        yield browser
-        browser.close()
-
-
 COLOUR = """image => { const c = document.createElement("canvas").getContext("2d"); c.drawImage(image, 0, 0);
 return Array.from(c.getImageData(1, 1, 1, 1).data.slice(0, 3)); }"""
 
@@ -55,13 +44,14 @@ def test_who_always_prefers_red_is_counted_so(
     page_file = tmp_path / "study.html"
     assert study(*folders, "--out", page_file, "--seed", "3") == 0
     html = page_file.read_text()
-    assert "ours" not in html
+    assert not re.search(r"\bours\b", html)
     assert "theirs" not in html
     page = browser.new_page()
     complaints: list[str] = []
     page.on("pageerror", lambda error: complaints.append(str(error)))
     page.on("console", lambda line: complaints.append(line.text) if line.type == "error" else None)
     page.goto(page_file.as_uri())
+    assert not AXE.exists() or barriers(page) == []
     sides = set()
     for number in range(PAIRS):
         if number == 5:  # a slip, taken back; then the page is loaded anew

@@ -1,14 +1,7 @@
-"""An orbit about the inserted object, through the Gaussians of the harmonized scene, as an mp4 file."""
+"""An orbit about the inserted object, through the Gaussians of the harmonized scene."""
 
-import subprocess
-from collections.abc import Iterable
-from pathlib import Path
-
-import imageio_ffmpeg
 import numpy as np
 
-from multilight.datagen.errors import UserError
-from multilight.model.inference.pictures import to_bytes
 from multilight.scenes.arrays import Float32, Float64
 from multilight.scenes.cameras.pinhole import look_at
 from multilight.scenes.gaussians.from_views import Gaussians
@@ -16,7 +9,6 @@ from multilight.scenes.gaussians.splatting import blending_weights
 from multilight.scenes.poses import matrix4
 from multilight.scenes.spec import Camera
 
-FPS = 24
 GAP = np.deg2rad(120.0)
 """Angle without a camera from which on the orbit swings to and fro over what was seen, instead of going round."""
 
@@ -61,20 +53,3 @@ def render_gaussians(camera: Camera, gaussians: Gaussians) -> Float32:
     free = 1.0 - np.asarray(weights.sum(axis=1)).reshape(-1, 1)
     picture = weights @ gaussians.colors + np.maximum(free, 0.0) * gaussians.colors.mean(axis=0)
     return np.clip(picture, 0.0, 1.0).reshape(camera.height, camera.width, 3).astype(np.float32)
-
-
-def write_video(path: Path, frames: Iterable[Float32], size: tuple[int, int]) -> None:
-    """Write pictures (H, W, 3) in [0, 1] of `size` (width, height), both even, as H.264; raises `UserError`.
-
-    ffmpeg is started by hand: `imageio_ffmpeg.write_frames` forks, which hangs where a library holds a lock.
-    """
-    if not path.parent.is_dir():
-        raise UserError(f"video {path} cannot be written: {path.parent} is not a folder")
-    raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{size[0]}x{size[1]}", "-r", str(FPS), "-i", "-"]
-    coded = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "18", str(path)]
-    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-loglevel", "error", *raw, *coded]
-    pictures = b"".join(np.ascontiguousarray(to_bytes(frame)).tobytes() for frame in frames)
-    done = subprocess.run(command, input=pictures, capture_output=True, check=False)
-    if done.returncode:
-        reason = done.stderr.decode(errors="replace").strip().splitlines()
-        raise UserError(f"video {path} cannot be written: {reason[-1] if reason else done.returncode}")
