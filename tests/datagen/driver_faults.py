@@ -290,7 +290,10 @@ def disturbed(folder: Path, seed: int, kills: int, scenes: int = 24) -> Bench:
     return bench
 
 
-def main(seeds: tyro.conf.Positional[tuple[int, ...]], kills: int = 300) -> int:
+def main(
+    seeds: tyro.conf.Positional[tuple[int, ...]],
+    kills: int = 300,
+) -> int:
     """Disturb drivers and return the exit code: 1 where something was wrong.
 
     Args:
