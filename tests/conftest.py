@@ -111,3 +111,25 @@ def capture(capture_folders: dict[str, Path]) -> "Capture":
     from multilight.model.captures.read import read_capture  # torch is an extra
 
     return read_capture(capture_folders["nerfstudio"])
+
+
+RAY_NODE: dict[str, Any] = {"num_cpus": 1, "object_store_memory": 80 << 20, "include_dashboard": False}
+
+NOTICED_SOON = {"health_check_initial_delay_ms": 0, "health_check_period_ms": 200, "health_check_failure_threshold": 5}
+
+
+@pytest.fixture
+def ray_cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """A Ray cluster on loopback, so far of a head that makes nothing itself."""
+    pytest.importorskip("ray")
+    from ray.cluster_utils import Cluster
+
+    # Ray's own switch for clusters that do not leave loopback.
+    monkeypatch.setenv("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")
+    monkeypatch.setattr("ray._private.ray_constants.ENABLE_RAY_CLUSTER", False)
+    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+    cluster = Cluster(initialize_head=True, head_node_args=RAY_NODE | {"num_cpus": 0, "_system_config": NOTICED_SOON})
+    files = cluster.head_node.get_session_dir_path()
+    yield cluster
+    cluster.shutdown()
+    shutil.rmtree(files)

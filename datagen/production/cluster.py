@@ -1,9 +1,10 @@
-"""Scenes made by the nodes of a Ray cluster, which all see the dataset's folder.
+"""Scenes made by the nodes of a Ray cluster, which all see the dataset's folder, or its address.
 
 Ray hands out the scenes, and again those of a node that is lost; each of its processes keeps one of ours, which makes
 scenes one after the other and is watched as on a single machine. Nodes may come and go.
 """
 
+import contextlib
 import os
 import signal
 import socket
@@ -12,13 +13,18 @@ from dataclasses import replace
 from functools import cache
 
 import ray
+
 from multilight.datagen.errors import RunStoppedError, UserError
+from multilight.datagen.production.bucket import stage
 from multilight.datagen.production.crew import Crew, Failed, Limits
 from multilight.datagen.production.drivers import FOLDER
 from multilight.datagen.production.worker import WorkerReport, WorkerSetup
 
 PATIENCE = 10.0
 """Seconds to wait for the cluster to answer."""
+
+_FOLDERS = contextlib.ExitStack()
+"""They last as long as the process."""
 
 
 class Cluster:
@@ -90,4 +96,6 @@ def make_on_node(
 
 @cache
 def _crew(setup: WorkerSetup, limits: Limits) -> Crew:
+    if setup.address:  # scenes are put together on the node and go there
+        setup = replace(setup, root=_FOLDERS.enter_context(stage()))
     return Crew(replace(setup, parent=os.getpid()), limits, 1)

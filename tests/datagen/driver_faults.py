@@ -43,7 +43,7 @@ from multilight.datagen.production.shards import Shard
 from multilight.datagen.production.worker import WorkerReport, WorkerSetup, report_of
 from multilight.datagen.report import silent
 from multilight.datagen.storage.records import SceneRecord
-from multilight.datagen.storage.store import read_scene, scene_dir
+from multilight.datagen.storage.store import read_scene, scene_dir, scene_indices
 from multilight.datagen.verification.views import Fault
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.errors import MultilightError
@@ -51,8 +51,8 @@ from multilight.scenes.random_streams import Streams
 from tests.datagen.faults import small_disk, tree
 
 DRIVERS = 4
-PAUSE = 0.5
-"""Seconds from one thing that is done to them to the next, on average."""
+PATIENCE = 3.0
+"""Seconds without a new scene after which the next thing is done to them."""
 LEASE = 0.4
 """Seconds, instead of a minute; signs of life come eight times as often."""
 FAULTS = "faults"
@@ -194,7 +194,7 @@ class Bench:
         while True:
             while len(live) < DRIVERS:
                 live.append(self.start(root, Shard(self.rng.randrange(3), 3) if self.rng.random() < 0.5 else None))
-            time.sleep(self.rng.expovariate(1 / PAUSE))
+            self._wait_for_work(root)
             victim = self.rng.choice(live)
             match self.rng.choices(("kill", "stop", "jump"), (6, 2, 1))[0]:
                 case "kill" if kills > 0 and victim.is_alive():
@@ -226,6 +226,13 @@ class Bench:
                 break
         self._end(root, live, asleep, kind)
 
+    def _wait_for_work(self, root: Path) -> None:
+        """Wait until one more scene is there, and for a moment more."""
+        before, until = len(scene_indices(root)), time.monotonic() + PATIENCE
+        while len(scene_indices(root)) == before and time.monotonic() < until:
+            time.sleep(0.01)
+        time.sleep(self.rng.expovariate(1 / 0.03))
+
     def _end(self, root: Path, live: list[ForkServerProcess], asleep: dict[int, float], kind: str) -> None:
         """Let those that live come to an end, without faults, and one more see to what is left."""
         self._set(0, 0)
@@ -236,7 +243,7 @@ class Bench:
                 os.kill(pid, signal.SIGCONT)
         for process in live:
             process.join(60)
-            if process.exitcode not in (0, 1, 2) or (process.exitcode == 1 and kind == "plain"):
+            if process.exitcode not in (0, 1, 2, -signal.SIGKILL) or (process.exitcode == 1 and kind == "plain"):
                 self.wrong.append(f"seed {self.seed}, {kind}, at the end: {process.exitcode} {self.said(process)}")
                 process.kill()
         last = self.start(root, None, lease=0)  # to which all others are dead
@@ -263,7 +270,7 @@ def preloaded(folder: Path) -> Iterator[bool]:
     if compiler := shutil.which("cc"):
         library, source = folder / "faulty_machine.so", Path(__file__).with_name("faulty_machine.c")
         subprocess.run([compiler, "-shared", "-fPIC", "-O1", "-o", library, source, "-ldl"], check=True)
-        os.environ |= {"LD_PRELOAD": str(library), "FAULTY_ROOT": str(folder), "FAULTY": str(folder / FAULTS)}
+        os.environ |= {"LD_PRELOAD": str(library), "FAULTY_ROOT": str(folder / "disk"), "FAULTY": str(folder / FAULTS)}
     os.environ |= {"OMP_NUM_THREADS": "1", "POLARS_MAX_THREADS": "1"}
     try:
         yield compiler is not None
@@ -283,7 +290,10 @@ def disturbed(folder: Path, seed: int, kills: int, scenes: int = 24) -> Bench:
     return bench
 
 
-def main(seeds: tyro.conf.Positional[tuple[int, ...]], kills: int = 300) -> int:
+def main(
+    seeds: tyro.conf.Positional[tuple[int, ...]],
+    kills: int = 300,
+) -> int:
     """Disturb drivers and return the exit code: 1 where something was wrong.
 
     Args:

@@ -12,6 +12,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 from urllib.parse import unquote
 
 import fsspec
@@ -22,6 +23,7 @@ from multilight.datagen.cli import main
 from multilight.datagen.errors import RunStoppedError
 from multilight.datagen.production import drivers, remote
 from multilight.datagen.storage.address import find_place
+from tests.conftest import RAY_NODE
 from tests.datagen.servers import Fault, FaultyBucket, faulty_bucket
 
 SCENES = 6
@@ -206,6 +208,16 @@ def test_scenes_that_are_set_aside(
         "failed     1: took longer than 0 s; raise --limit-minutes or lower --spp (scenes 3)" in capsys.readouterr().out
     )
     assert make("--retry") == 0
+    assert bucket.contents("set") == alone
+
+
+@pytest.mark.slow
+def test_nodes_of_a_ray_cluster_need_no_shared_folder(
+    bucket: FaultyBucket, alone: dict[str, bytes], ray_cluster: Any
+) -> None:
+    for _ in range(2):
+        ray_cluster.add_node(**RAY_NODE)
+    assert make("--executor", "ray", "--address", ray_cluster.address) == 0
     assert bucket.contents("set") == alone
 
 

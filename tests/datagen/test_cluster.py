@@ -1,8 +1,6 @@
 """Scenes made by a real Ray cluster of several nodes on this machine, on loopback, of which one is killed meanwhile."""
 
-import shutil
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,43 +11,25 @@ from multilight.datagen.errors import RunStoppedError
 from multilight.datagen.production.crew import Limits
 from multilight.datagen.production.worker import WorkerSetup
 from multilight.datagen.storage.store import read_dataset, scene_indices
+from tests.conftest import RAY_NODE
 from tests.datagen.test_drivers import SETTINGS, contents, start
 
 pytest.importorskip("ray")
-NODE = {"num_cpus": 1, "object_store_memory": 80 << 20, "include_dashboard": False}
-
-NOTICED_SOON = {"health_check_initial_delay_ms": 0, "health_check_period_ms": 200, "health_check_failure_threshold": 5}
-
-
-@pytest.fixture
-def cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
-    """A head that makes nothing itself."""
-    from ray.cluster_utils import Cluster
-
-    # Ray's own switch for clusters that do not leave loopback.
-    monkeypatch.setenv("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")
-    monkeypatch.setattr("ray._private.ray_constants.ENABLE_RAY_CLUSTER", False)
-    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
-    cluster = Cluster(initialize_head=True, head_node_args=NODE | {"num_cpus": 0, "_system_config": NOTICED_SOON})
-    files = cluster.head_node.get_session_dir_path()
-    yield cluster
-    cluster.shutdown()
-    shutil.rmtree(files)
 
 
 @pytest.mark.slow
 def test_a_cluster_that_loses_a_node_and_gains_one_leaves_the_bytes_of_a_single_run(
-    cluster: Any, tmp_path: Path
+    ray_cluster: Any, tmp_path: Path
 ) -> None:
     root, words = tmp_path / "set", ("--scenes", "8", "--views", "4")
-    lost, _ = cluster.add_node(**NODE), cluster.add_node(**NODE)
-    run = start(root, *words, "--executor", "ray", "--address", cluster.address)
+    lost, _ = ray_cluster.add_node(**RAY_NODE), ray_cluster.add_node(**RAY_NODE)
+    run = start(root, *words, "--executor", "ray", "--address", ray_cluster.address)
     alone = ["dataset", "--out", str(tmp_path / "alone"), *SETTINGS, *words]
     while len(scene_indices(root)) < 3 or len(list((root / "work").iterdir())) < 2:
         assert run.poll() is None, run.communicate()
         time.sleep(0.02)
-    cluster.remove_node(lost, allow_graceful=False)
-    cluster.add_node(**NODE)
+    ray_cluster.remove_node(lost, allow_graceful=False)
+    ray_cluster.add_node(**RAY_NODE)
     assert main(alone) == 0
     said, told = run.communicate(timeout=120)
     assert run.returncode == 0, told
