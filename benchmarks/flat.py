@@ -1,7 +1,8 @@
 """Memory and core-seconds of a run of many small scenes by one worker: does either grow?
 
-The worker is renewed as often as in any run. Prints means over fifties and by how much the last fifty differ from the
-first; writes a line a scene, and a plot. Called again with the same file it goes on where it was stopped.
+The worker is renewed as often as in any run. The last fifty scenes are the first fifty once more, since other scenes
+would differ in any case. Prints means over fifties and by how much the last fifty differ from the first; writes a line
+a scene, and a plot. Called again with the same file it goes on where it was stopped.
 
     python -m benchmarks.flat --scenes 500 --lines out/flat.txt --plot docs/flat.png
 """
@@ -20,9 +21,9 @@ from multilight.datagen.backends.choose import open_backend
 from multilight.datagen.config.dataset import load_config
 from multilight.datagen.config.presets import Preset
 from multilight.datagen.errors import UserError
-from multilight.datagen.production.crew import SCENES_A_WORKER
 from multilight.datagen.production.library import open_library
 from multilight.datagen.production.scene import SceneMaker, make_scene
+from multilight.datagen.production.worker import SCENES_A_WORKER
 from multilight.datagen.storage.store import scene_dir
 from multilight.scenes.arrays import Float64
 
@@ -61,13 +62,13 @@ def work(options: Options, indices: range) -> None:
     ):
         maker = SceneMaker(config, "mitsuba", Path(folder), library, backend, 1, time.process_time)
         for index in indices:
-            start = time.process_time()
+            start, scene = time.process_time(), index % max(TOGETHER, options.scenes - TOGETHER)
             try:
-                make_scene(maker, index)
+                make_scene(maker, scene)
             except UserError as error:
                 print(error, flush=True)
             print(f"{index} {time.process_time() - start:.3f} {memory():.1f}", file=lines, flush=True)
-            shutil.rmtree(scene_dir(maker.root, index), ignore_errors=True)
+            shutil.rmtree(scene_dir(maker.root, scene), ignore_errors=True)
 
 
 def curve(options: Options) -> Float64:

@@ -109,7 +109,7 @@ def measured(root: Path, count: int, more: int) -> dict[str, str]:
         f"{more} more": timed([*make, str(count + more)]),
         f"{more} more again": timed([*make, str(count + 2 * more)]),
         "query": timed([*command, "query", str(root)]),
-        "query, few": timed([*command, "query", str(root), "contrast_ev > 9"]),
+        "query, few": timed([*command, "query", str(root), "contrast_ev > 1 and index < 300"]),
         "open, one scene": timed(["-c", OPEN, str(root)]),
         "MultiLightDataset": timed(["-c", TRAIN, str(root)]),
         "verify --sample 100": timed([*command, "verify", str(root), "--sample", "100"]),

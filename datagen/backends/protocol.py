@@ -1,6 +1,7 @@
 """What a renderer does: `render(job) -> LayerStack`."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 from pydantic import PositiveInt
@@ -12,8 +13,8 @@ from multilight.scenes.errors import MultilightError
 from multilight.scenes.frozen import Frozen
 from multilight.scenes.spec import Camera, SceneSpec
 
-LARGE = 1 << 20
-"""Pixels of a picture above which memory is saved at the cost of time: its layers wait on disk while it is made."""
+LARGE = 1 << 19
+"""Pixels of a picture above which memory is saved: sums over its samples, and its layers, wait on disk meanwhile."""
 
 
 class RenderSettings(Frozen):
@@ -27,13 +28,15 @@ class RenderSettings(Frozen):
 
 @dataclass(frozen=True)
 class RenderJob:
-    """One variant (`datagen.storage.object_variants`) of one view."""
+    """One variant (`datagen.storage.object_variants`) of one view; `scratch` is a folder where what a large picture
+    takes may wait."""
 
     scene: SceneSpec
     rig: LightRig
     settings: RenderSettings
     view: int
     variant: str = ALL
+    scratch: Path | None = None
 
 
 class Backend(Protocol):

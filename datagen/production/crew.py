@@ -16,13 +16,11 @@ from typing import Protocol
 
 from pebble import ProcessExpired, ProcessFuture, ProcessPool
 
-from multilight.datagen.config.dataset import DatasetConfig, RendererName
+from multilight.datagen.config.dataset import DatasetConfig
 from multilight.datagen.errors import RunStoppedError, UserError
 from multilight.datagen.production.memory import free_bytes, resident_bytes
-from multilight.datagen.production.worker import WorkerReport, WorkerSetup, run_scene
+from multilight.datagen.production.worker import WorkerReport, WorkerSetup, run_scene, scenes_a_worker
 
-SCENES_A_WORKER: dict[RendererName, int] = {"cycles": 25, "mitsuba": 50, "analytic": 1000}
-"""Then a fresh process: a long-lived Blender grows. A fresh one has to read its meshes and textures anew."""
 SECONDS_A_MEGASAMPLE = 60.0  # a hundred times what a slow core needs; only a hung scene exceeds it
 LEAST_TIMEOUT = 600.0
 RESERVE = 500_000_000
@@ -81,7 +79,7 @@ class Crew:
         self._setup, self._limits = setup, limits
         self._pool = ProcessPool(
             max_workers=count,
-            max_tasks=SCENES_A_WORKER[setup.renderer],
+            max_tasks=scenes_a_worker(setup.renderer, setup.config),
             context=multiprocessing.get_context("spawn"),
         )
         self._waiting: dict[int, ProcessFuture] = {}

@@ -35,19 +35,25 @@ VISIBLE = 0.01  # of a channel's local radiance: what a change must reach; about
 FAINT = 0.03  # of the mean radiance: below it less of a change counts
 GREY = 0.1  # of the local radiance of all channels counts for each: a dark one's small changes are not seen
 WINDOWS = 9, 27, 81  # pixels over which a change is judged: where noise is rare bright dots, only wide ones tell it
-MOST_MEMORY = 1000  # MB: what takes more, pictures of 1.2 megapixels, OIDN denoises in tiles, to the same bits
+MOST_MEMORY = 2000
+"""MB, of all threads: what takes more, pictures of 2.4 megapixels, OIDN denoises in tiles, to the same bits. They
+overlap: two of 2048 x 2048 pixels cost 1.09 times what they would at once, four 1.18 times."""
+KEPT = 1 << 18  # pixels: up to so many a filter keeps its memory for the next picture; made anew it takes 15 ms
 MARGIN = 3  # pixels round where an object was to be seen in which `all` may have taken some of its colour
 SEAM = 3  # pixels round a change within which the clean pictures of a variant and of `all` are blended
 
 
-def denoise_all(stack: LayerStack, *, threads: int = 1) -> Float32:
-    """Denoise every layer of variant `all`, (L, H, W, 3) float32; the number of threads changes no bit."""
+def denoise_all(stack: LayerStack, *, threads: int = 1, rest: Callable[[], None] | None = None) -> Float32:
+    """Denoise every layer of variant `all`, (L, H, W, 3) float32; the number of threads changes no bit.
+
+    `rest` is called after each layer, so that what only it needed can be forgotten.
+    """
     layers = np.empty(stack.radiance.shape, np.float32)
 
     def one(light: int) -> None:
-        layers[light] = _denoise(stack, light, None, _scale(stack.radiance[light]))
+        layers[light] = _denoise(stack, light, None, _scale(stack.radiance[light]), threads=threads)
 
-    _each_light(one, stack, threads)
+    _each_light(one, stack, threads, rest)
     return layers
 
 
@@ -66,7 +72,13 @@ class Removed:
 
 
 def denoise_without(
-    stack: LayerStack, everything: LayerStack, clean: Float32, shown: Mask, *, threads: int = 1
+    stack: LayerStack,
+    everything: LayerStack,
+    clean: Float32,
+    shown: Mask,
+    *,
+    threads: int = 1,
+    rest: Callable[[], None] | None = None,
 ) -> Removed:
     """Denoise a variant where it differs from `all` and take `all`'s clean pixels elsewhere.
 
@@ -77,10 +89,11 @@ def denoise_without(
     rendered is denoised as a whole instead, where that is better.
     """
     own = binary_dilation(shown, np.ones((3, 3), bool), iterations=MARGIN)
-    layers = clean.copy()
+    layers = np.empty(clean.shape, np.float32)
 
     def one(light: int) -> tuple[float, float, bool]:
         raw, raw_all, layer = stack.radiance[light], everything.radiance[light], layers[light]
+        layer[:] = clean[light]
         if not raw.any():
             layer[:] = 0.0
             return 0.0, 0.0, False
@@ -88,17 +101,17 @@ def denoise_without(
         weight = _soft_mask(seen)[..., None]
         for box in _rectangles(seen):
             at = np.s_[box[0] : box[1], box[2] : box[3]]
-            layer[at] += weight[at] * (_denoise(stack, light, box, _scale(raw_all)) - layer[at])
+            layer[at] += weight[at] * (_denoise(stack, light, box, _scale(raw_all), threads=threads) - layer[at])
         found = residual(layer, raw, own, ~own)
         if max(found) > LIMIT:
-            whole = _denoise(stack, light, None, _scale(raw))
+            whole = _denoise(stack, light, None, _scale(raw), threads=threads)
             again = residual(whole, raw, own, ~own)
             if max(again) < 0.9 * max(found):  # else it is the denoiser's own bias
                 layer[:] = whole
                 return again[0], again[1], True
         return found[0], found[1], False
 
-    inside, outside, anew = zip(*_each_light(one, stack, threads), strict=True)
+    inside, outside, anew = zip(*_each_light(one, stack, threads, rest), strict=True)
     named = tuple(name for name, again in zip(stack.lights, anew, strict=True) if again)
     return Removed(layers, inside, outside, named)
 
@@ -118,7 +131,9 @@ def foreground_layers(foreground: LayerStack, whole: Float32) -> Float32:
     return layers
 
 
-def denoise_foreground(foreground: LayerStack, clean: Float32, *, threads: int = 1) -> Float32:
+def denoise_foreground(
+    foreground: LayerStack, clean: Float32, *, threads: int = 1, rest: Callable[[], None] | None = None
+) -> Float32:
     """Denoise an object's own part of the picture, as `foreground_layers`, (L, H, W, 3).
 
     On its outline the object's own samples are denoised apart from what lies behind, so that nothing of that
@@ -132,11 +147,11 @@ def denoise_foreground(foreground: LayerStack, clean: Float32, *, threads: int =
     def one(light: int) -> None:
         for box in boxes:
             at = np.s_[box[0] : box[1], box[2] : box[3]]
-            outline = _denoise(foreground, light, box, _scale(clean[light]), smaller=True)
+            outline = _denoise(foreground, light, box, _scale(clean[light]), threads=threads, smaller=True)
             layers[light][at] = np.where(covered[at][..., None], outline, np.float32(0.0))
         layers[light][inside] = clean[light][inside]
 
-    _each_light(one, foreground, threads)
+    _each_light(one, foreground, threads, rest)
     return layers
 
 
@@ -218,9 +233,17 @@ def _scale(layer: Float32) -> float:
     return float(MIDDLE_GREY / np.exp(np.log(lit).mean())) if lit.size else 1.0
 
 
-def _each_light(denoise: Callable[[int], T], stack: LayerStack, threads: int) -> list[T]:
+def _each_light(
+    denoise: Callable[[int], T], stack: LayerStack, threads: int, rest: Callable[[], None] | None
+) -> list[T]:
+    def one(light: int) -> T:
+        found = denoise(light)
+        if rest is not None:
+            rest()
+        return found
+
     lights = range(len(stack.lights))
-    return list(map(denoise, lights) if threads == 1 else _pool(threads).map(denoise, lights))
+    return list(map(one, lights) if threads == 1 else _pool(threads).map(one, lights))
 
 
 @cache
@@ -234,29 +257,32 @@ class _Denoiser(threading.local):
     Each computes on one thread, because its results depend, in the last bits, on how many there are.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, threads: int) -> None:
         import mitsuba_oidn
 
         device, quality = mitsuba_oidn.Device(mitsuba_oidn.DeviceType.CPU), mitsuba_oidn.Quality
         device.num_threads = 1
-        self.better, self.smaller = _filter(device, quality.High), _filter(device, quality.Balanced)
+        most = MOST_MEMORY // threads
+        self.better, self.smaller = _filter(device, quality.High, most), _filter(device, quality.Balanced, most)
 
 
-def _filter(device: Any, quality: Any) -> Any:
+def _filter(device: Any, quality: Any, most: int) -> Any:
     made = device.new_filter("RT")
-    made.hdr, made.quality, made.max_memory_mb = True, quality, MOST_MEMORY
+    made.hdr, made.quality, made.max_memory_mb = True, quality, most
     # The guides come from the same samples as the colour, so what noise they have the colour shares.
     made.clean_aux = True
     return made
 
 
 @cache
-def _denoiser() -> _Denoiser:
-    return _Denoiser()
+def _denoiser(threads: int) -> _Denoiser:
+    return _Denoiser(threads)
 
 
-def _denoise(stack: LayerStack, light: int, box: Box | None, scale: float, *, smaller: bool = False) -> Float32:
-    """Denoise a layer, or a rectangle of it, by OIDN's better or its smaller network."""
+def _denoise(
+    stack: LayerStack, light: int, box: Box | None, scale: float, *, threads: int, smaller: bool = False
+) -> Float32:
+    """Denoise a layer, or a rectangle of it, by OIDN's better or its smaller network, on one of so many threads."""
     at = np.s_[:, :] if box is None else np.s_[box[0] : box[1], box[2] : box[3]]
     layer = np.ascontiguousarray(stack.radiance[light][at])
     clean = np.empty_like(layer)
@@ -265,9 +291,12 @@ def _denoise(stack: LayerStack, light: int, box: Box | None, scale: float, *, sm
     assert stack.guide_albedo is not None
     assert stack.guide_normal is not None
     images = {"color": layer, "albedo": stack.guide_albedo[at], "normal": stack.guide_normal[at], "output": clean}
-    denoiser = _denoiser().smaller if smaller else _denoiser().better
+    filters = _denoiser(min(threads, len(stack.lights)))
+    denoiser = filters.smaller if smaller else filters.better
     for name, image in images.items():
         denoiser.set_image(name, np.ascontiguousarray(image))
     denoiser.input_scale = scale
     denoiser.execute()
+    if layer[..., 0].size > KEPT:
+        _denoiser.cache_clear()
     return np.maximum(clean, 0.0)

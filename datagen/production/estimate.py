@@ -17,9 +17,8 @@ from pebble import ProcessPool
 from multilight.datagen.backends.choose import resolve_renderer
 from multilight.datagen.config.dataset import DatasetConfig
 from multilight.datagen.errors import UserError
-from multilight.datagen.production.crew import SCENES_A_WORKER
 from multilight.datagen.production.library import check_library
-from multilight.datagen.production.worker import WorkerSetup, run_scene
+from multilight.datagen.production.worker import WorkerSetup, run_scene, scenes_a_worker
 from multilight.datagen.report import Report
 from multilight.datagen.storage.store import scene_dir
 from multilight.scenes.errors import MultilightError
@@ -115,7 +114,7 @@ def estimate(
         core_seconds=fmean(costs),
         error=_error(costs),
         start=fmean(starts),
-        a_worker=SCENES_A_WORKER[renderer],
+        a_worker=scenes_a_worker(renderer, config),
         memory=max(one.memory for one in found),
         size=fmean(one.size for one in found),
         measured=len(found),

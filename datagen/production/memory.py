@@ -1,4 +1,7 @@
-"""How much memory a worker takes, and how many of them fit into what there is."""
+"""How much memory a worker takes, and how many of them fit into what there is.
+
+The figures are those of `python -m benchmarks.volume --presets --large 128 256 512 1024 2048` and of `benchmarks.flat`.
+"""
 
 import contextlib
 import os
@@ -7,12 +10,18 @@ from pathlib import Path
 
 from multilight.datagen.backends.protocol import LARGE
 from multilight.datagen.config.dataset import DatasetConfig
+from multilight.datagen.production.denoise import MOST_MEMORY
+from multilight.datagen.production.worker import scenes_a_worker
 
-BASE = 2_000_000_000
-"""Bytes of a worker that has made some dozens of small scenes: libraries, meshes and textures that are kept."""
-LIGHTS = 6
+START, START_LARGE = 0.72e9, 0.55e9
+"""Bytes of a worker that makes its first scene, small; those that large pictures are not rendered in are given back."""
+KEPT, HALF = 2.05e9, 14
+"""Bytes of meshes and textures that are kept after very many scenes, and after how many half of them are."""
+FILTER = 700
+"""Bytes a pixel that the denoiser takes; a picture for which that is above `MOST_MEMORY` it takes in parts."""
+LIGHTS = 5
 """Lights that most scenes have at most, where the configuration allows more."""
-COPIES, COPIES_LARGE = 4.0, 1.3
+COPIES, COPIES_LARGE = 5.2, 0.6
 """How often all layers of a view (float32) are in memory at most: usually, and where they wait on disk."""
 CONTAINERS = (
     ("/sys/fs/cgroup/", "memory.max", "memory.current", "inactive_file"),
@@ -21,12 +30,15 @@ CONTAINERS = (
 """Where a control group of version 2 or 1 says what it allows, what is used, and what of that is but a cache."""
 
 
-def worker_bytes(config: DatasetConfig) -> int:
-    """Predict the most memory that a worker takes, in bytes."""
+def worker_bytes(config: DatasetConfig, scenes: int = 1) -> int:
+    """Predict the most memory that a worker takes which makes so many scenes, in bytes."""
     pixels = config.width * config.height
     layers = 12 * pixels * min(LIGHTS, config.lights[1]) * (1 + 2 * config.insertable)
-    copies = (COPIES_LARGE if pixels > LARGE else COPIES) + config.keep_raw
-    return BASE + int(copies * layers)
+    start, copies = (START_LARGE, COPIES_LARGE) if pixels > LARGE else (START, COPIES)
+    before = min(scenes, scenes_a_worker("mitsuba", config)) - 1
+    filters = 0 if config.denoise == "off" else FILTER * pixels
+    parts = 1 + filters // (MOST_MEMORY * 1_000_000)
+    return int(start + KEPT * before / (before + HALF) + filters / parts + (copies + config.keep_raw) * layers)
 
 
 def free_bytes() -> int:
@@ -64,12 +76,16 @@ def used_bytes() -> int:
 def default_workers(scenes: int, config: DatasetConfig) -> int:
     """Return one process a core, but no more than there are scenes, or than memory is free for; that is said."""
     wanted = max(1, min(len(os.sched_getaffinity(0)), scenes))
-    each, free = worker_bytes(config), free_bytes()
-    fit = max(1, min(wanted, free // each))
+    free = free_bytes()
+
+    def each(workers: int) -> int:
+        return worker_bytes(config, -(-scenes // workers))
+
+    fit = next((workers for workers in range(wanted, 1, -1) if workers * each(workers) <= free), 1)
     if fit < wanted:
         print(
-            f"{fit} instead of {wanted} workers: each may take {each / 1e9:.1f} GB at {config.width} x {config.height} "
-            f"pixels, and {free / 1e9:.1f} GB are free; --workers overrides that",
+            f"{fit} instead of {wanted} workers: each may take {each(fit) / 1e9:.1f} GB at {config.width} x "
+            f"{config.height} pixels, and {free / 1e9:.1f} GB are free; --workers overrides that",
             file=sys.stderr,
         )
     return fit

@@ -18,12 +18,12 @@ from multilight.datagen.errors import UserError, full_disk_told
 from multilight.datagen.production.denoise import AUTO_SPP
 from multilight.datagen.production.stopwatch import Stopwatch
 from multilight.datagen.production.view import RenderedView, SceneSetup, render_view
+from multilight.datagen.storage.halves import in_half
 from multilight.datagen.storage.object_variants import ALL
 from multilight.datagen.storage.records import AssetCredit, SceneRecord, ViewRecord, view_file
 from multilight.datagen.storage.store import (
     ViewData,
     file_sha256,
-    in_half,
     read_view,
     scene_dir,
     write_text,
@@ -205,6 +205,7 @@ def _write_scene(
         scratch=work,
     )
     thumbnails, brightnesses = [], []
+    lights: tuple[str, ...] = ()
     before: ViewData | None = None
     for number in range(len(record.scene.cameras)):
         rendered = render_view(setup, number, watch)
@@ -219,14 +220,13 @@ def _write_scene(
                 faults += verify_pair(record, (number - 1, before), (number, view))
         if faults:
             return record, faults
-        before = replace(view, variants={}, raw={})  # no more than the next view is held to
         del rendered
         thumbnails.append(thumbnail(view.variants[ALL]))
         brightnesses.append(brightness(record, view))
+        lights, before = view.lights, replace(view, variants={}, raw={})  # no more than the next view is held to
+        del view
     seen = [[(b.median[n], b.high[n]) for b in brightnesses] for n in range(len(record.conditions))]
-    metered = tuple(
-        meter_condition(c, view.lights, thumbnails, s) for c, s in zip(record.conditions, seen, strict=True)
-    )
+    metered = tuple(meter_condition(c, lights, thumbnails, s) for c, s in zip(record.conditions, seen, strict=True))
     record = record.model_copy(update={"conditions": metered})
     save_preview(work, record)
     record = record.model_copy(update={"preview_sha256": file_sha256(work / "preview.png")})

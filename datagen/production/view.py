@@ -7,14 +7,19 @@ from pathlib import Path
 import numpy as np
 
 from multilight.datagen.backends.protocol import LARGE, Backend, RenderJob, RenderSettings
-from multilight.datagen.production.denoise import denoise_all, denoise_foreground, denoise_without, foreground_layers
-from multilight.datagen.production.shelf import Shelf
+from multilight.datagen.files.shelf import Shelf
+from multilight.datagen.production.denoise import (
+    denoise_all,
+    denoise_foreground,
+    denoise_without,
+    foreground_layers,
+)
 from multilight.datagen.production.stopwatch import Stopwatch
-from multilight.datagen.storage.halves import Halves
+from multilight.datagen.storage.halves import Halves, Planes, in_planes
 from multilight.datagen.storage.layers import LayerStack
 from multilight.datagen.storage.object_variants import ALL, Variant
 from multilight.datagen.storage.records import LayerEnergy, Residuals
-from multilight.datagen.storage.store import ViewData, in_half
+from multilight.datagen.storage.store import ViewData
 from multilight.datagen.verification.residuals import noise_variance, residual
 from multilight.lights.spec import LightRig
 from multilight.scenes.arrays import Float32, Mask
@@ -57,8 +62,8 @@ def render_view(setup: SceneSetup, view: int, watch: Stopwatch) -> RenderedView:
 
     def render(variant: str) -> LayerStack:
         with watch.stage("render"):
-            stack = setup.backend.render(RenderJob(setup.scene, setup.rig, setup.settings, view, variant))
-            return stack if shelf is None else shelf.put(stack)
+            job = RenderJob(setup.scene, setup.rig, setup.settings, view, variant, setup.scratch)
+            return _put(setup.backend.render(job), shelf)
 
     names, camera = setup.scene.insertable, setup.scene.cameras[view]
     shelf = Shelf(setup.scratch) if camera.width * camera.height > LARGE else None
@@ -72,7 +77,8 @@ def render_view(setup: SceneSetup, view: int, watch: Stopwatch) -> RenderedView:
     variants, residuals = raw, dict[str, Residuals]()
     if setup.denoise:
         with watch.stage("denoise"):
-            clean = _denoised(everything, without, foregrounds, residuals, threads=max(1, setup.settings.threads))
+            threads = max(1, setup.settings.threads)
+            clean = _denoised(everything, without, foregrounds, residuals, shelf, threads=threads)
             variants = _kept(clean, shelf)
     coverage = {name: stack.coverage for name, stack in foregrounds.items() if stack.coverage is not None}
     free = np.clip(1.0 - sum(coverage.values()), 0.0, 1.0)
@@ -92,11 +98,27 @@ def _kept(layers: Iterable[tuple[str, Float32]], shelf: Shelf | None) -> Mapping
     """Keep layers by variant; those of a large picture, which are made one after the other, as they will be stored."""
     if shelf is None:
         return dict(layers)
-    found = {}
+    found: dict[str, Sequence[Planes]] = {}
     for name, values in layers:
-        found[name] = in_half(values)
+        found[name] = [list(shelf.keep(np.stack(in_planes(layer)))) for layer in values]
         shelf.rest()
-    return Halves(found)
+    return Halves(found, shelf.rest)
+
+
+def _put(stack: LayerStack, shelf: Shelf | None) -> LayerStack:
+    """Put the pictures of a stack on the shelf, if there is one."""
+    if shelf is None:
+        return stack
+    albedo, normal = stack.guide_albedo, stack.guide_normal
+    kept = replace(
+        stack,
+        radiance=shelf.keep(stack.radiance),
+        combined=shelf.keep(stack.combined),
+        guide_albedo=None if albedo is None else shelf.keep(albedo),
+        guide_normal=None if normal is None else shelf.keep(normal),
+    )
+    shelf.rest()
+    return kept
 
 
 def _as_rendered(everything: LayerStack, without: Stacks, foregrounds: Stacks) -> Iterator[tuple[str, Float32]]:
@@ -107,18 +129,26 @@ def _as_rendered(everything: LayerStack, without: Stacks, foregrounds: Stacks) -
 
 
 def _denoised(
-    everything: LayerStack, without: Stacks, foregrounds: Stacks, residuals: dict[str, Residuals], *, threads: int
+    everything: LayerStack,
+    without: Stacks,
+    foregrounds: Stacks,
+    residuals: dict[str, Residuals],
+    shelf: Shelf | None,
+    *,
+    threads: int,
 ) -> Iterator[tuple[str, Float32]]:
     """Yield variants and their denoised layers; note how far these are from what was rendered."""
-    clean = denoise_all(everything, threads=threads)
+    rest = None if shelf is None else shelf.rest
+    clean = denoise_all(everything, threads=threads, rest=rest)
+    if shelf is not None:
+        clean = shelf.keep(clean)
     anywhere = np.ones(clean.shape[1:3], bool)
     left = (residual(layer, raw, anywhere)[0] for layer, raw in zip(clean, everything.radiance, strict=True))
     residuals[ALL] = Residuals(outside=_largest(everything.lights, left))
     yield ALL, clean
     for name, stack in without.items():
-        removed = denoise_without(
-            stack, everything, clean, shown_in(everything, stack, foregrounds[name]), threads=threads
-        )
+        shown = shown_in(everything, stack, foregrounds[name])
+        removed = denoise_without(stack, everything, clean, shown, threads=threads, rest=rest)
         residuals[Variant.without(name)] = Residuals(
             inside=_largest(stack.lights, removed.inside),
             outside=_largest(stack.lights, removed.outside),
@@ -126,7 +156,7 @@ def _denoised(
         )
         yield Variant.without(name), removed.layers
         del removed  # before more is made
-        yield Variant.foreground(name), denoise_foreground(foregrounds[name], clean, threads=threads)
+        yield Variant.foreground(name), denoise_foreground(foregrounds[name], clean, threads=threads, rest=rest)
 
 
 def _largest(lights: Sequence[str], found: Iterable[float]) -> dict[str, float]:
@@ -165,7 +195,7 @@ def _within_pixels(foregrounds: Stacks, shelf: Shelf | None) -> Stacks:
     for name, stack in foregrounds.items():
         assert stack.coverage is not None
         stack = replace(stack, coverage=stack.coverage / total, radiance=stack.radiance / total[..., None])
-        within[name] = stack if shelf is None else shelf.put(stack)
+        within[name] = _put(stack, shelf)
     return within
 
 

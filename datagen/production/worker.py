@@ -14,7 +14,7 @@ from functools import cache
 from pathlib import Path
 
 from multilight.datagen.backends.choose import open_backend
-from multilight.datagen.backends.protocol import BackendError
+from multilight.datagen.backends.protocol import LARGE, BackendError
 from multilight.datagen.config.dataset import DatasetConfig, RendererName
 from multilight.datagen.errors import RunStoppedError, UserError
 from multilight.datagen.production.library import open_library
@@ -23,6 +23,15 @@ from multilight.datagen.production.scene import Made, SceneMaker, make_scene
 from multilight.datagen.storage.index import Row, index_row
 from multilight.datagen.storage.records import AssetCredit
 from multilight.scenes.assets.cache import tell_thrown_away
+
+SCENES_A_WORKER: dict[RendererName, int] = {"cycles": 25, "mitsuba": 50, "analytic": 1000}
+"""Then a fresh process: a long-lived Blender grows. A fresh one has to read its meshes and textures anew, which is
+little beside a scene of large pictures: of such each has a process to itself."""
+
+
+def scenes_a_worker(renderer: RendererName, config: DatasetConfig) -> int:
+    """Return how many scenes a process makes."""
+    return 1 if config.width * config.height > LARGE else SCENES_A_WORKER[renderer]
 
 
 @dataclass(frozen=True)

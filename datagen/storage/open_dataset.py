@@ -86,6 +86,11 @@ class DatasetSource:
                 )
             return record
 
+    def alone(self, index: int) -> "DatasetSource":
+        """Return the dataset with one scene: little to hand to a process, which need not open the whole then."""
+        known = self.table.select(name for name in ("index", "record_sha256") if name in self.table.columns)
+        return replace(self, table=known.filter(pl.col("index") == index))
+
     def scenes(self) -> Iterator[SceneRecord]:
         """Yield the scenes in order, passing over what cannot be read where that was asked for."""
         for index in self.indices:

@@ -48,25 +48,25 @@ def pack_dataset(address: str, out: Path, *, workers: int, report: Report) -> Pa
     with making(out, "packed", source, {}) as copy:
         missing = [index for index in source.indices if not copy.keeps(scene_folder(index), index)]
         report(0, len(missing))
-        packing = in_processes(partial(pack_scene, address, out), missing, workers)
-        for done, (index, files) in enumerate(packing, 1):
+        packing = in_processes(partial(pack_scene, out), [source.alone(index) for index in missing], workers)
+        for done, (scene, files) in enumerate(packing, 1):
+            (index,) = scene.indices
             copy.add(scene_folder(index), index, files())
             report(done, len(missing))
         return _finish(source, copy, len(missing))
 
 
-def pack_scene(address: str, out: Path, index: int) -> dict[str, FileEntry]:
-    """Pack one scene; returns the hashes of its files."""
-    source = open_dataset(address, where=f"index = {index}")
+def pack_scene(out: Path, source: DatasetSource) -> dict[str, FileEntry]:
+    """Pack the one scene of a dataset; returns the hashes of its files."""
+    (index,) = source.indices
     record = source.scene(index)
     with whole_folder(out, scene_folder(index)) as work:
         for number, stated in enumerate(record.views):
             view = source.view(record, number)
             packed = pack_view(view, record, number)
             if fault := value_fault(packed):
-                raise StoreError(
-                    f"{address}/{scene_folder(index)}/{stated.file}: {fault}; see: multilight verify {address}"
-                )
+                shown = f"{source.address}/{scene_folder(index)}/{stated.file}"
+                raise StoreError(f"{shown}: {fault}; see: multilight verify {source.address}")
             path = work / "views" / Path(packed_file(index, number)).name
             write_packed(path, packed)
             if fault := _difference(view, read_packed(path)):

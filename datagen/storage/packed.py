@@ -16,9 +16,10 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from multilight.datagen.errors import StoreError
+from multilight.datagen.storage.halves import HALF_MAX
 from multilight.datagen.storage.object_variants import ALL, Variant, variants_of
 from multilight.datagen.storage.records import SceneRecord
-from multilight.datagen.storage.store import HALF_MAX, ViewData
+from multilight.datagen.storage.store import ViewData
 from multilight.lights.relight import gain_matrix
 from multilight.scenes.arrays import Float32, Float64
 

@@ -16,7 +16,6 @@ import hashlib
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import chain
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -27,7 +26,7 @@ from pydantic import ValidationError
 
 from multilight.datagen.errors import StoreError
 from multilight.datagen.storage.address import find_place
-from multilight.datagen.storage.halves import Halves
+from multilight.datagen.storage.halves import Halves, Planes, in_planes, planes_of, stored_layers
 from multilight.datagen.storage.layers import GeometryBuffers
 from multilight.datagen.storage.object_variants import ALL, RAW, variants_of
 from multilight.datagen.storage.records import DatasetRecord, SceneRecord
@@ -39,7 +38,6 @@ _Record = TypeVar("_Record", SceneRecord, DatasetRecord)
 Channels = dict[str, NDArray[np.generic]]
 """Planes (H, W) by the name that each has in a file."""
 HEADER = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}  # to be copied: the binding adds to it
-HALF_MAX = 65504.0
 GEOMETRY: dict[str, tuple[Sequence[str], type[np.generic], type[np.generic]]] = {
     "z_depth": ("Z", np.float32, np.float32),
     "normal_world": ("XYZ", np.float16, np.float32),
@@ -113,22 +111,24 @@ def file_sha256(path: Path) -> str:
 
 def write_view(path: Path, view: ViewData) -> None:
     """Write one view as a multi-part OpenEXR file; radiance as half float, or float where half would overflow."""
-    stored = chain(view.variants.items(), ((RAW + variant, layers) for variant, layers in view.raw.items()))
-    parts = [
-        _part(
-            part, (_planes(f"{part}.{light}", in_half(layer)) for light, layer in zip(view.lights, layers, strict=True))
-        )
-        for part, layers in stored
-    ]
-    parts.append(_part("combined", [_planes("combined", in_half(view.combined))]))
+    parts = []
+    for prefix, variants in (("", view.variants), (RAW, view.raw)):
+        for variant in variants:
+            layers = zip(view.lights, stored_layers(variants, variant), strict=True)
+            named = (_named(f"{prefix}{variant}.{light}", planes) for light, planes in layers)
+            parts.append(_part(prefix + variant, named))
+    parts.append(_part("combined", [_named("combined", in_planes(view.combined))]))
     buffers = [
-        _planes(name, getattr(view.geometry, name).astype(kind), channels)
+        _named(name, planes_of(getattr(view.geometry, name).astype(kind)), channels)
         for name, (channels, kind, _) in GEOMETRY.items()
     ]
-    coverage = [_planes(f"coverage_{name}", alpha.astype(np.float16), "A") for name, alpha in view.coverage.items()]
+    coverage = [_named(f"coverage_{name}", [alpha.astype(np.float16)], "A") for name, alpha in view.coverage.items()]
     parts.append(_part("geometry", buffers + coverage))
     path.parent.mkdir(parents=True, exist_ok=True)
     OpenEXR.File(parts).write(str(path))
+    for variants in (view.variants, view.raw):
+        if isinstance(variants, Halves):
+            variants.rest()
 
 
 def write_exr(path: Path, channels: Mapping[str, NDArray[np.generic]]) -> None:
@@ -141,7 +141,7 @@ def read_view(path: Path, stated: tuple[SceneRecord, int] | None = None, *, comp
     """Read one view back; raises `StoreError` naming the file where it is missing, truncated or foreign.
 
     `stated` are a scene's record and the number of the view, where the file is to be held to them before anything is
-    decoded. `compact`: layers stay in half precision until they are asked for.
+    decoded. `compact`: layers stay as they were read until they are asked for.
     """
     if not path.is_file():
         raise StoreError(f"{path} is missing")
@@ -155,15 +155,12 @@ def read_view(path: Path, stated: tuple[SceneRecord, int] | None = None, *, comp
             groups.setdefault(variant, {})[rest.split(".")[0]] = None
     try:
         lights = tuple(sorted(groups[ALL]))
-        kind = None if compact else np.float32
-        stored = {
-            part: np.stack([_joined(channels, f"{part}.{light}", kind=kind) for light in lights]) for part in groups
-        }
-        variants = {part: layers for part, layers in stored.items() if not part.startswith(RAW)}
-        raw = {part.removeprefix(RAW): layers for part, layers in stored.items() if part.startswith(RAW)}
+        stored = {part: [[channels[f"{part}.{light}.{c}"] for c in "RGB"] for light in lights] for part in groups}
+        variants = Halves({part: layers for part, layers in stored.items() if not part.startswith(RAW)})
+        raw = Halves({part.removeprefix(RAW): layers for part, layers in stored.items() if part.startswith(RAW)})
         return ViewData(
             lights=lights,
-            variants=Halves(variants) if compact else variants,
+            variants=variants if compact else dict(variants),
             coverage={
                 name.removeprefix("coverage_").removesuffix(".A"): channels[name].astype(np.float32)
                 for name in channels
@@ -173,7 +170,7 @@ def read_view(path: Path, stated: tuple[SceneRecord, int] | None = None, *, comp
                 **{name: _joined(channels, name, of, kind) for name, (of, _, kind) in GEOMETRY.items()}
             ),
             combined=_joined(channels, "combined"),
-            raw=Halves(raw) if compact else raw,
+            raw=raw if compact else dict(raw),
         )
     except KeyError as error:
         raise StoreError(f"{path}: channel {error} is missing; damaged, or not a view of this layout") from None
@@ -223,19 +220,8 @@ def _parse(content: bytes, name: str, kind: type[_Record]) -> _Record:
         raise StoreError(f"{name} is damaged or of another version: {key or 'content'}: {told}") from None
 
 
-def as_stored(layer: Float32) -> Float32:
-    """Return a layer (H, W, 3) as it reads back: in half precision, or as it is where that overflows."""
-    return in_half(layer).astype(np.float32)
-
-
-def in_half(values: Float32) -> NDArray[np.floating]:
-    """Return radiance as half floats, or as it is where these would overflow: nothing is clamped."""
-    return values.astype(np.float16) if float(values.max(initial=0.0)) <= HALF_MAX else values
-
-
-def _planes(prefix: str, image: NDArray[np.generic], channels: Sequence[str] = "RGB") -> Channels:
-    planes = image.reshape(*image.shape[:2], len(channels))
-    return {f"{prefix}.{c}": np.ascontiguousarray(planes[..., i]) for i, c in enumerate(channels)}
+def _named(prefix: str, planes: Planes, channels: Sequence[str] = "RGB") -> Channels:
+    return {f"{prefix}.{c}": plane for c, plane in zip(channels, planes, strict=True)}
 
 
 def _part(name: str, groups: Iterable[Channels]) -> OpenEXR.Part:
@@ -292,5 +278,4 @@ def _read_channels(path: Path) -> Channels:
 
 def _joined(found: Channels, prefix: str, channels: Sequence[str] = "RGB", kind: Any = np.float32) -> NDArray[Any]:
     planes = [found[f"{prefix}.{c}"] for c in channels]
-    joined = planes[0] if len(planes) == 1 else np.stack(planes, axis=-1)
-    return joined if kind is None else joined.astype(kind)
+    return (planes[0] if len(planes) == 1 else np.stack(planes, axis=-1)).astype(kind)

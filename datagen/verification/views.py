@@ -5,16 +5,17 @@ That all files are there, whole and unchanged, is checked by `datagen.verificati
 
 from collections.abc import Callable, Collection, Iterator
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from scipy.ndimage import binary_erosion, maximum_filter
 
 from multilight.datagen.errors import StoreError
+from multilight.datagen.storage.halves import stored_layers
 from multilight.datagen.storage.object_variants import ALL, variants_of
 from multilight.datagen.storage.records import SceneRecord
-from multilight.datagen.storage.store import ViewData, as_stored, file_sha256, read_view
+from multilight.datagen.storage.store import ViewData, file_sha256, read_view
 from multilight.datagen.tuples import compose
 from multilight.datagen.tuples.exposure import BRIGHT, DARK, levels
 from multilight.datagen.verification.residuals import SIDES, residual
@@ -73,13 +74,13 @@ def verify_views(record: SceneRecord, lend: Lend, *, left_out: Collection[int] =
                 with lend(stated.file) as path:
                     if file_sha256(path) != stated.file_sha256:
                         raise StoreError(f"{stated.file} was changed: its hash is not the one in scene.json")
-                    view = read_view(path, (record, number))
+                    view = read_view(path, (record, number), compact=True)
                 faults += verify_view(record, number, view)
             except (StoreError, OSError) as error:
                 faults.append(Fault(record.index, number, "files", str(error)))
         if before is not None and view is not None:
             faults += verify_pair(record, (number - 1, before), (number, view))
-        before = view
+        before = None if view is None else replace(view, variants={}, raw={})  # no more than the next one is held to
     return faults
 
 
@@ -122,18 +123,19 @@ def _content(record: SceneRecord, number: int, view: ViewData) -> Iterator[str]:
 
 def _stored(view: ViewData, made: ViewData) -> Iterator[str]:
     """Hold what was read back to what was written: its residuals are known, and hold for what is on disk."""
-    order = [made.lights.index(light) for light in view.lights]
-    for variant, layers in made.variants.items():
-        found = view.variants.get(variant, ())
-        if not all(np.array_equal(layer, as_stored(layers[i])) for layer, i in zip(found, order, strict=False)):
-            yield f"{variant} reads back other than it was written"
+    for variant in filter(view.variants.__contains__, made.variants):
+        written = dict(zip(made.lights, stored_layers(made.variants, variant), strict=True))
+        for light, planes in zip(view.lights, stored_layers(view.variants, variant), strict=True):
+            if not all(map(np.array_equal, planes, written[light])):
+                yield f"{variant}.{light} reads back other than it was written"
 
 
 def _finite(view: ViewData) -> Iterator[str]:
-    for variant, layers in (*view.variants.items(), *((f"raw {name}", raw) for name, raw in view.raw.items())):
-        for light, layer in zip(view.lights, layers, strict=True):
-            if not np.isfinite(layer).all() or layer.min() < 0:
-                yield f"{variant}.{light} holds NaN, infinite or negative radiance"
+    for prefix, variants in (("", view.variants), ("raw ", view.raw)):
+        for variant in variants:
+            for light, planes in zip(view.lights, stored_layers(variants, variant), strict=True):
+                if not all(np.isfinite(plane).all() and plane.min() >= 0 for plane in planes):
+                    yield f"{prefix}{variant}.{light} holds NaN, infinite or negative radiance"
     if not np.isfinite(view.geometry.z_depth).all() or view.geometry.z_depth.min() < 0:
         yield "z_depth holds NaN, infinite or negative values"
     lengths = np.linalg.norm(view.geometry.normal_world, axis=-1)[view.geometry.instance_id > 0]
@@ -155,14 +157,16 @@ def _additivity(record: SceneRecord, number: int, view: ViewData) -> Iterator[st
 
 def _denoised(view: ViewData) -> Iterator[str]:
     """Hold the denoised layers to what was rendered: their sum to `combined`, each of them where it was kept."""
-    layers = {"the sum of all layers": (view.variants[ALL].sum(axis=0), view.combined)}
-    for variant, rendered in view.raw.items():
-        for light, pair in zip(view.lights, zip(view.variants[variant], rendered, strict=True), strict=True):
-            layers[f"{variant}.{light}"] = pair
     anywhere = np.ones(view.combined.shape[:2], bool)
-    for name, pair in layers.items():
-        if (far := residual(*pair, anywhere, least_side=SIDES[-1])[0]) > FAR:
+
+    def differs(name: str, layer: Float32, rendered: Float32) -> Iterator[str]:
+        if (far := residual(layer, rendered, anywhere, least_side=SIDES[-1])[0]) > FAR:
             yield f"{name} differs from what was rendered by {far:.2f} more than noise explains (limit {FAR})"
+
+    yield from differs("the sum of all layers", view.variants[ALL].sum(axis=0), view.combined)
+    for variant, raw in view.raw.items():
+        for light, layer, rendered in zip(view.lights, view.variants[variant], raw, strict=True):
+            yield from differs(f"{variant}.{light}", layer, rendered)
 
 
 def _composite(record: SceneRecord, view: ViewData) -> Iterator[str]:

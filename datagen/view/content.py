@@ -19,10 +19,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from multilight.datagen.storage.halves import HALF_MAX
 from multilight.datagen.storage.object_variants import ALL, Variant
 from multilight.datagen.storage.open_dataset import DatasetSource
 from multilight.datagen.storage.records import SceneRecord
-from multilight.datagen.storage.store import HALF_MAX, ViewData, scene_folder
+from multilight.datagen.storage.store import ViewData, scene_folder
 from multilight.datagen.text import plain
 from multilight.datagen.tuples.pictures import depth_range
 from multilight.lights.describe import describe

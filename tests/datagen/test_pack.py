@@ -1,12 +1,14 @@
 """The packed copy: the same values as the native views, and clear words where a file is damaged."""
 
 import json
+import pickle
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pytest
 import torch
 from safetensors.numpy import load, save
@@ -169,6 +171,18 @@ def test_packing_again_adds_only_what_is_missing(spheres_dataset: Path, damaged:
     pack(spheres_dataset, damaged)
     assert {path: path.read_bytes() for path in damaged.rglob("*") if path.is_file()} == before
     assert kept.stat().st_mtime_ns == stamp
+
+
+def test_a_scene_alone_is_little_and_held_to_the_index(spheres_dataset: Path) -> None:
+    source = open_dataset(spheres_dataset)
+    alone = source.alone(source.indices[-1])
+    assert alone.indices == source.indices[-1:]
+    assert len(pickle.dumps(alone)) < 20_000
+    digest = source.scene(source.indices[-1]).record_sha256
+    swapped = replace(source, table=source.table.with_columns(record_sha256=pl.lit("0" * 64)))
+    assert alone.scene(source.indices[-1]).record_sha256 == digest
+    with pytest.raises(StoreError, match="is not the one of the index"):
+        swapped.alone(source.indices[-1]).scene(source.indices[-1])
 
 
 def test_foreign_folders_are_refused(spheres_dataset: Path, packed: Path, tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from multilight.datagen.export.dtc.scene import Frame
 from multilight.datagen.export.dtc.work import Job, export_scene
 from multilight.datagen.report import Report
 from multilight.datagen.storage.copies import Copy, in_processes, making
-from multilight.datagen.storage.open_dataset import open_dataset
+from multilight.datagen.storage.open_dataset import DatasetSource, open_dataset
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.store import write_text
 from multilight.scenes.gaussians.curves import fold
@@ -54,7 +54,7 @@ def export_dtc(request: DtcExport, report: Report) -> DtcOutcome:
         _check(request, records)
     settings = {key: getattr(request, key) for key in ("conditions", "exposures", "size", "map_size")}
     with making(request.out, "dtc-multilight", source, settings) as copy:
-        jobs = [_job(request, record, copy) for record in records]
+        jobs = [_job(request, source, record, copy) for record in records]
         missing = [job for job in jobs if job.flat or job.maps]
         done, total = 0, sum(job.views for job in missing)
         workers = min(request.workers or len(os.sched_getaffinity(0)), max(len(missing), 1))
@@ -107,11 +107,12 @@ def _check(request: DtcExport, records: Sequence[SceneRecord]) -> None:
             raise UserError(f"scene {record.index} of {request.address} has no insertable object to composite")
 
 
-def _job(request: DtcExport, record: SceneRecord, copy: Copy) -> Job:
+def _job(request: DtcExport, source: DatasetSource, record: SceneRecord, copy: Copy) -> Job:
     """Plan what is missing of a scene."""
     folders = {kind[:2]: f"{ROOTS[kind]}/{scene_name(record.index)}" for kind in _kinds(record, request)}
     missing = {dimension: folder for dimension, folder in folders.items() if not copy.keeps(folder, record.index)}
-    return Job(request, record.index, len(record.views), record.split != "train", missing.get("2d"), missing.get("3d"))
+    views, evaluation, scene = len(record.views), record.split != "train", source.alone(record.index)
+    return Job(request, scene, record.index, views, evaluation, missing.get("2d"), missing.get("3d"))
 
 
 def _write_lists(out: Path, records: Sequence[SceneRecord]) -> None:

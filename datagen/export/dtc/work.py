@@ -15,7 +15,7 @@ from multilight.datagen.export.dtc.request import DtcExport
 from multilight.datagen.export.dtc.scene import Frame, Geometry, Lighting, survey
 from multilight.datagen.storage.copies import files_of, whole_folder
 from multilight.datagen.storage.manifest import FileEntry
-from multilight.datagen.storage.open_dataset import DatasetSource, open_dataset
+from multilight.datagen.storage.open_dataset import DatasetSource
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.tuples import compose
 from multilight.lights.display.reinhard import tone_map
@@ -27,9 +27,11 @@ from multilight.scenes.random_streams import Streams
 
 @dataclass(frozen=True)
 class Job:
-    """One scene to export: `flat` and `maps` are the 2D and 3D folders in `request.out`, None where there already."""
+    """One scene to export, the only one of `source`; `flat` and `maps` are the 2D and 3D folders in `request.out`, None
+    where there already."""
 
     request: DtcExport
+    source: DatasetSource
     index: int
     views: int
     evaluation: bool
@@ -68,8 +70,7 @@ class Choice:
 
 def export_scene(job: Job) -> dict[str, dict[str, FileEntry]]:
     """Write one scene; returns the files of each folder. Raises `StoreError` where it cannot be read, or is empty."""
-    request = job.request
-    source = open_dataset(request.address)
+    request, source = job.request, job.source
     record = source.scene(job.index)
     frame = Frame.fit(request.size, record.views[0].height, record.views[0].width)
     conditions = record.conditions[: request.conditions]

@@ -21,10 +21,11 @@ from multilight.datagen.export.luxremix.meta import Passes, draw_passes, metadat
 from multilight.datagen.export.tars import TarShards
 from multilight.datagen.report import Report
 from multilight.datagen.storage.copies import making
+from multilight.datagen.storage.halves import in_half
 from multilight.datagen.storage.object_variants import ALL
 from multilight.datagen.storage.open_dataset import DatasetSource
 from multilight.datagen.storage.records import SceneRecord
-from multilight.datagen.storage.store import ViewData, in_half, write_exr
+from multilight.datagen.storage.store import ViewData, write_exr
 from multilight.lights.display.tonemap import to_display
 from multilight.lights.relight import mix
 from multilight.lights.spec import EmissiveLight
