@@ -101,7 +101,7 @@ class Dataset(_Options):
     `auto` asks the variables of Slurm and AWS Batch arrays, `auto/N` those of Kubernetes' indexed jobs."""
 
     executor: Literal["processes", "ray"] = "processes"
-    """What makes scenes: processes of this machine, or a Ray cluster, whose nodes all see the output folder."""
+    """What makes scenes: processes of this machine, or a Ray cluster, whose nodes all see the output."""
     address: str = ""
     """Where the Ray cluster is, HOST:PORT (default: what RAY_ADDRESS says, or the one that runs on this machine)."""
     limit_minutes: float | None = None

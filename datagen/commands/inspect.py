@@ -190,13 +190,13 @@ class Sheet:
 class Stats:
     """Measure how varied a dataset is: histograms, coverage, leaks between splits, near-duplicate scenes."""
 
-    dir: Annotated[tyro.conf.Positional[str | None], tyro.conf.arg(metavar="[DIR]")] = None
-    """Folder of the dataset."""
+    dir: Annotated[tyro.conf.Positional[str | None], tyro.conf.arg(metavar="[DIR|ADDRESS]")] = None
+    """Folder or address of the dataset."""
     sample: int | None = None
     """Measure so many scenes of the folder, spread evenly (default: all, at most 2000); without a folder: draw so many,
     without rendering."""
     out: Path | None = None
-    """Folder for index.html and stats.json (default: stats in the dataset's folder)."""
+    """Folder for index.html and stats.json (default: stats in the dataset's folder, none of an address)."""
     preset: Preset | None = None
     """Where scenes are drawn: named starting point of the configuration."""
     config: Path | None = None
@@ -216,9 +216,9 @@ class Stats:
             )
         if self.sample is not None and self.sample < 1:
             raise UserError(f"--sample {self.sample} must be 1 or more")
-        if self.dir is not None and not Path(self.dir).is_dir():
-            raise UserError(f"{self.dir} is not a folder here; stats does not read from other addresses")
-        out = self.out if self.dir is None or self.out is not None else file_inside(Path(self.dir), "stats")
+        out = self.out
+        if out is None and self.dir is not None and Path(self.dir).is_dir():
+            out = file_inside(Path(self.dir), "stats")
         if out is not None:
             check_folder(out)
         summary = self._measure()
@@ -237,6 +237,6 @@ class Stats:
         library = AssetLibrary(folders=self.assets)
         with progress("scenes", "measuring") as report:
             if self.dir is not None:
-                return measure_dataset(Path(self.dir), library, report, self.sample or MOST_MEASURED)
+                return measure_dataset(self.dir, library, report, self.sample or MOST_MEASURED)
             assert self.sample is not None
             return measure_samples(config, self.sample, library, report)

@@ -74,10 +74,13 @@ class Remote:
 
     def create(self, name: str, text: str) -> bool:
         """Write a file unless there is one of that name; of several who try at once, one does."""
-        with contextlib.suppress(FileExistsError):
+        try:
             self.patiently(lambda: self._create(name, text.encode()))
-            return True
-        return False
+        except FileExistsError:
+            return False
+        if self.patiently(lambda: self.place.filesystem.info(self._path(name)))["size"] != len(text):  # half of it came
+            self.write(name, text.encode())
+        return True
 
     def _create(self, name: str, content: bytes) -> None:
         try:
@@ -90,7 +93,12 @@ class Remote:
 
     def write(self, name: str, content: bytes) -> None:
         """Write a file, whole or not at all, in place of what is there."""
-        self.patiently(lambda: self.place.filesystem.pipe_file(self._path(name), content))
+
+        def act() -> None:
+            self.place.filesystem.pipe_file(self._path(name), content)
+            self._check(name, len(content))
+
+        self.patiently(act)
 
     def read(self, name: str) -> bytes | None:
         """Read a small file; None where there is none."""
@@ -123,10 +131,14 @@ class Remote:
 
         def act() -> None:
             self.place.filesystem.put_file(str(path), self._path(name))
-            if (size := self.place.filesystem.info(self._path(name))["size"]) != path.stat().st_size:
-                raise OSError(f"{size} of {path.stat().st_size} bytes have come")
+            self._check(name, path.stat().st_size)
 
         self.patiently(act)
+
+    def _check(self, name: str, size: int) -> None:
+        """Raise `OSError` where a file is not of that size."""
+        if (found := self.place.filesystem.info(self._path(name))["size"]) != size:
+            raise OSError(f"{found} of {size} bytes have come")
 
     def _path(self, name: str) -> str:
         return f"{self.place.root}/{name}"

@@ -190,11 +190,13 @@ def _collect(work: Work, hand: _Hand, workers: Workers) -> None:
     waiting: dict[Future[object], int] = {}
     begun = finished = time.monotonic()
     total, done = len(hand.own) * plan.config.views, 0
+    count = workers.count
     driver.tells(lambda: state_here(
-        plan.root, begun, workers=workers.count, made=len(work.made), in_work=tuple(waiting.values())
+        plan.root, begun, workers=count, made=len(work.made), in_work=tuple(waiting.values())
     ).model_dump_json())  # fmt: skip
     while True:
-        while len(waiting) < AHEAD * workers.count and (index := hand.next()) is not None:
+        count = workers.count
+        while len(waiting) < AHEAD * count and (index := hand.next()) is not None:
             waiting[workers.start(index, index in work.there.damaged)] = index
         if not waiting and not hand.own:
             return

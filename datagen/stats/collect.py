@@ -17,7 +17,6 @@ from multilight.datagen.stats.facts import SceneFacts, scene_facts
 from multilight.datagen.stats.pictures import picture_values, read_preview
 from multilight.datagen.stats.quantities import QUANTITIES, Coverage, Quantity, Value, coverage_of
 from multilight.datagen.storage.open_dataset import open_dataset, spread
-from multilight.datagen.storage.store import scene_dir
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.assets.splits import SPLITS, Split
 from multilight.scenes.random_streams import Streams
@@ -78,21 +77,24 @@ def quantiles(values: list[Value]) -> dict[str, float]:
     return {"p5": round(float(low), 5), "p50": round(float(median), 5), "p95": round(float(high), 5)}
 
 
-def measure_dataset(root: Path, library: AssetLibrary, report: Report, most: int = MOST_MEASURED) -> Summary:
+def measure_dataset(address: str | Path, library: AssetLibrary, report: Report, most: int = MOST_MEASURED) -> Summary:
     """Measure the finished scenes of a dataset, at most so many, spread evenly; raises `UserError` where none is."""
-    source = open_dataset(root)
+    source = open_dataset(address)
+    where = source.address
     if not source.indices:
-        raise UserError(f"{root} holds no finished scene; make some with: multilight dataset --out {root}")
+        raise UserError(f"{where} holds no finished scene; make some with: multilight dataset --out {where}")
     chosen = spread(source.indices, most)
     facts, hashes = [], []
     for number, index in enumerate(chosen):
         record = source.scene(index)
         found = scene_facts(record.scene, record.rig, record.split, library)
-        facts.append(replace(found, values=found.values | picture_values(scene_dir(root, index), record)))
-        hashes.append(picture_hash(read_preview(scene_dir(root, index), record)))
+        facts.append(replace(found, values=found.values | picture_values(source, record)))
+        hashes.append(picture_hash(read_preview(source, record)))
         report(number + 1, len(chosen))
     count = f"{len(facts)} of " * (len(facts) < len(source.indices)) + f"{len(source.indices)} scenes"
-    return replace(summarize(f"{root.name}: {count}", facts, hashes), thrown_away=source.record.thrown_away)
+    return replace(
+        summarize(f"{where.rpartition('/')[2]}: {count}", facts, hashes), thrown_away=source.record.thrown_away
+    )
 
 
 def measure_samples(config: DatasetConfig, count: int, library: AssetLibrary, report: Report) -> Summary:

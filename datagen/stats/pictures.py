@@ -1,38 +1,38 @@
 """What can be measured on a finished scene's pictures."""
 
-from pathlib import Path
-
 import numpy as np
 from PIL import Image
 
 from multilight.datagen.errors import StoreError
 from multilight.datagen.stats.facts import Values
+from multilight.datagen.storage.open_dataset import DatasetSource
 from multilight.datagen.storage.records import SceneRecord
-from multilight.datagen.storage.store import file_inside, file_sha256, read_view
+from multilight.datagen.storage.store import file_sha256, scene_folder
 from multilight.scenes.arrays import Float64
 from multilight.scenes.colour import luminance
 from multilight.scenes.files.limits import open_picture
 
 
-def read_preview(folder: Path, record: SceneRecord) -> Image.Image:
+def read_preview(source: DatasetSource, record: SceneRecord) -> Image.Image:
     """Read a scene's preview (RGB); raises `StoreError` where it is missing or not as it was written."""
-    path = file_inside(folder, "preview.png")
+    name = f"{scene_folder(record.index)}/preview.png"
     try:
-        # By the record: Pillow decodes much that is damaged without a word.
-        if record.preview_sha256 and file_sha256(path) != record.preview_sha256:
-            raise StoreError(f"{path} is damaged or replaced: its hash is not the one that scene.json states")
-        with open_picture(path) as image:
-            return image.convert("RGB")
+        with source.local(name) as path:
+            # By the record: Pillow decodes much that is damaged without a word.
+            if record.preview_sha256 and file_sha256(path) != record.preview_sha256:
+                raise StoreError(f"{path} is damaged or replaced: its hash is not the one that scene.json states")
+            with open_picture(path) as image:
+                return image.convert("RGB")
     except (OSError, ValueError, SyntaxError) as error:
-        raise StoreError(f"{path} cannot be read: {error}") from None
+        raise StoreError(f"{source.address}/{name} cannot be read: {error}") from None
 
 
-def picture_values(folder: Path, record: SceneRecord) -> Values:
+def picture_values(source: DatasetSource, record: SceneRecord) -> Values:
     """Measure the preview (all lights on, as displayed) and the radiance of the first and the last view."""
-    preview = np.asarray(read_preview(folder, record), np.float64)
+    preview = np.asarray(read_preview(source, record), np.float64)
     tiles = np.array_split(preview, min(4, len(record.views)), axis=1)
     ends = sorted({0, len(record.views) - 1})
-    targets = (read_view(file_inside(folder, record.views[view].file), (record, view)).combined for view in ends)
+    targets = (source.view(record, view).combined for view in ends)
     return {
         "luminance": [float(luminance(tile / 255.0).mean()) for tile in tiles],
         "colourfulness": [colourfulness(tile) for tile in tiles],

@@ -79,7 +79,7 @@ def test_a_bucket_gets_the_bytes_of_a_folder_and_is_read(
     assert stages() == []
     order = [path for method, path in bucket.asked if method == "PUT" and "/scenes/000003/" in path]
     assert order[-1].endswith("scene.json"), "a scene is there when its record is"
-    for words in (["verify"], ["status"], ["query"]):
+    for words in (["verify"], ["stats"], ["status"], ["query"]):
         assert main([*words, ADDRESS]) == 0
     assert f"{SCENES} of {SCENES} scenes done" in capsys.readouterr().out
     settings = multilight.SampleSettings(size=32, length=2, split=None, visible=1)
@@ -243,6 +243,22 @@ def test_addresses_that_do_not_do(
         assert "cannot be written to by several processes; name a folder or a bucket" in refused(capsys, address)
     assert bucket.contents("set") == alone
     assert stages() == []
+
+
+def test_half_of_what_is_written_is_noticed(bucket: FaultyBucket) -> None:
+    place, left = remote.Remote(ADDRESS), 2
+
+    def fault(method: str, path: str) -> Fault | None:
+        nonlocal left
+        left -= method == "PUT"
+        return "cut" if method == "PUT" and left >= 0 else None
+
+    bucket.fault = fault
+    place.write("written", b"whole")
+    left = 1
+    assert place.create("created", "whole")
+    assert not place.create("created", "other")
+    assert bucket.contents("set") == {"written": b"whole", "created": b"whole"}
 
 
 def test_patience_ends(bucket: FaultyBucket, monkeypatch: pytest.MonkeyPatch) -> None:

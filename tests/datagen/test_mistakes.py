@@ -82,7 +82,7 @@ MISTAKES = {
     "import usd TEXT --out O": "TEXT cannot be read: it is damaged, or not what its name says",
     "assets check NONE": "neither a folder nor an installed pack",
     "assets fetch mug": "no pack 'mug'",
-    "stats http://localhost/x": "http://localhost/x is not a folder here",
+    "stats http://localhost:1/x": "http://localhost:1/x/dataset.json cannot be read",
     "train TEXT": "TEXT cannot be read as TOML",
     "evaluate DATA --out O --weights NONE": "weights NONE do not exist; ready-made are: slim",
     "evaluate DATA --out O --weights TEXT": "weights TEXT cannot be read",
