@@ -52,5 +52,7 @@ def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
             "\n\n", f'\n\n<a href="{MIXER}"><strong>Try it here</strong></a>, with two small scenes.\n\n', 1
         )
     markdown = re.sub(r"\]\((?:\.\./)?examples/(\w+)\.py\)", r"](examples/\1.md)", markdown)
-    markdown = re.sub(r"\[([^\]]+)\]\((?:examples|docs|CITATION\.cff|LICENSE)\)", r"\1", markdown)
+    markdown = re.sub(
+        r"\[([^\]]+)\]\((?:examples|docs|CITATION\.cff|LICENSE|(?:\.\./)?deploy/[\w.-]+)\)", r"\1", markdown
+    )
     return re.sub(r"\]\((?:\.\./|docs/)", "](", markdown)
