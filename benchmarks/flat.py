@@ -22,8 +22,8 @@ from multilight.datagen.config.dataset import load_config
 from multilight.datagen.config.presets import Preset
 from multilight.datagen.errors import UserError
 from multilight.datagen.production.library import open_library
-from multilight.datagen.production.running import SCENES_A_WORKER
 from multilight.datagen.production.scene import SceneMaker, make_scene
+from multilight.datagen.production.worker import SCENES_A_WORKER
 from multilight.datagen.storage.store import scene_dir
 from multilight.scenes.arrays import Float64
 

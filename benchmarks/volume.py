@@ -37,8 +37,8 @@ from multilight.datagen.config.dataset import DatasetConfig, load_config
 from multilight.datagen.config.presets import Preset
 from multilight.datagen.production.denoise import denoise_all
 from multilight.datagen.production.library import open_library
-from multilight.datagen.production.running import SCENES_A_WORKER
 from multilight.datagen.production.scene import SceneMaker, make_scene
+from multilight.datagen.production.worker import SCENES_A_WORKER
 from multilight.datagen.storage.layers import LayerStack
 from multilight.datagen.storage.store import read_scene, scene_dir
 

@@ -9,7 +9,18 @@ from importlib.metadata import version
 from inspect import cleandoc
 from typing import Any
 
-from multilight.datagen.commands import dataset, export, import_scene, inspect, installed, pack, plan, query
+from multilight.datagen.commands import (
+    dataset,
+    export,
+    import_scene,
+    inspect,
+    installed,
+    merge,
+    pack,
+    plan,
+    query,
+    status,
+)
 from multilight.datagen.commands.arguments import UsageError, parsed
 from multilight.datagen.commands.terminal import (
     PIPE_BROKEN,
@@ -32,19 +43,26 @@ LONGEST_WORD = 4096
 LARGEST_NUMBER = 2**53
 """The largest whole number that every library takes, as a float as well."""
 STOPPED, GOES_ON = "stopped", "; the same command goes on where it was"
-CONTINUED = ("dataset", "scene", "import", "pack", "export", "train", "ablate")
+CONTINUED = ("dataset", "scene", "import", "merge", "pack", "export", "train", "ablate")
 """Commands that go on where they were stopped."""
 GROUPS = {
-    "make": ("dataset", "scene", "import", "plan"),
-    "look": ("view", "verify", "mix", "sheet", "stats", "query"),
+    "make": ("dataset", "scene", "import", "plan", "merge"),
+    "look": ("status", "view", "verify", "mix", "sheet", "stats", "query"),
     "share": ("export", "pack"),
     "learn": ("train", "evaluate", "ablate", "study"),
     "use on your own pictures": ("harmonize", "insert"),
     "set up": ("assets", "config", "doctor"),
 }
 """The commands as help lists them."""
-EXTRAS = {"train": "train", "evaluate": "train", "ablate": "train", "harmonize": "train", "insert": "captures"}
-"""What to install for a command that needs more than what is there, if it is not `render`."""
+EXTRAS = {
+    "train": "train",
+    "evaluate": "train",
+    "ablate": "train",
+    "harmonize": "train",
+    "insert": "captures",
+    "ray": "ray",
+}
+"""What to install for a command, or for a module, that needs more than what is there, if it is not `render`."""
 OPTIONS = (
     "multilight COMMAND --help explains a command and its options.",
     "",
@@ -57,6 +75,8 @@ COMMANDS: dict[str, type] = {
     "dataset": dataset.Dataset,
     "scene": dataset.Scene,
     "plan": plan.Plan,
+    "merge": merge.Merge,
+    "status": status.Status,
     "verify": inspect.Verify,
     "view": inspect.View,
     "mix": inspect.Mix,
@@ -183,5 +203,6 @@ def _told(error: Exception, command: str) -> str:
         case OSError():
             return f"{reason_of(error)}; free some space, or choose another place"
         case ModuleNotFoundError():
-            return f"multilight {command} needs {error.name}: pip install 'multilight[{EXTRAS.get(command, 'render')}]'"
+            extra = EXTRAS.get(error.name or "", EXTRAS.get(command, "render"))
+            return f"multilight {command} needs {error.name}: pip install 'multilight[{extra}]'"
     return str(error)

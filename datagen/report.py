@@ -1,6 +1,10 @@
-"""How work tells of its progress, whoever shows it."""
+"""How work tells of its progress and of what happens, whoever shows it or writes it down."""
 
+import logging
 from typing import Protocol
+
+LOG = logging.getLogger("multilight")
+"""Where `event` writes; silent until a handler is added."""
 
 
 class Report(Protocol):
@@ -12,3 +16,8 @@ class Report(Protocol):
 
 def silent(done: float, total: float, note: str = "") -> None:
     """Show nothing."""
+
+
+def event(name: str, **about: object) -> None:
+    """Write down that something happened, where a log was asked for."""
+    LOG.info(name, extra={"about": about})

@@ -2,7 +2,7 @@
 
 import difflib
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from rich.markup import escape
 
@@ -42,6 +42,19 @@ def size(count: int) -> str:
     while value >= 999.5 and len(units) > 1:
         value, units = value / 1000, units[1:]
     return f"{value:.3g} {units[0]}"
+
+
+def ranges(numbers: Sequence[int], most: int = 10) -> str:
+    """Name ascending whole numbers: `0, 3-7, 9`; of more than `most` ranges how many numbers more there are."""
+    runs: list[list[int]] = []
+    for number in numbers:
+        if runs and number == runs[-1][1] + 1:
+            runs[-1][1] = number
+        else:
+            runs.append([number, number])
+    told = ", ".join(f"{low}" if low == high else f"{low}-{high}" for low, high in runs[:most])
+    more = sum(high - low + 1 for low, high in runs[most:])
+    return told + (f" and {more} more" if more else "")
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:

@@ -25,5 +25,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 def on_page_markdown(markdown: str, **_: object) -> str:
     """Let links between the repository's files lead to the site's pages."""
     markdown = re.sub(r"\]\((?:\.\./)?examples/(\w+)\.py\)", r"](examples/\1.md)", markdown)
-    markdown = re.sub(r"\[([^\]]+)\]\((?:examples|docs|CITATION\.cff|LICENSE)\)", r"\1", markdown)
+    markdown = re.sub(
+        r"\[([^\]]+)\]\((?:examples|docs|CITATION\.cff|LICENSE|(?:\.\./)?deploy/[\w.-]+)\)", r"\1", markdown
+    )
     return re.sub(r"\]\((?:\.\./|docs/)", "](", markdown)

@@ -12,7 +12,9 @@ from multilight.datagen.commands.output import progress as shown
 from multilight.datagen.config.dataset import DatasetConfig, load_config
 from multilight.datagen.config.presets import PRESETS, Preset
 from multilight.datagen.errors import UserError
+from multilight.datagen.production.crew import limits_for
 from multilight.datagen.production.dataset import Outcome, make_dataset, settings_of
+from multilight.datagen.production.homes import local_folder
 from multilight.datagen.production.memory import default_workers
 from multilight.datagen.production.running import Plan
 from multilight.datagen.report import silent
@@ -34,7 +36,7 @@ def make(
     progress: bool = True,
     **settings: Any,
 ) -> Dataset:
-    """Make a dataset, or continue one, in the folder `out`, and open it.
+    """Make a dataset, or continue one, in the folder or at the address `out`, and open it.
 
     `settings` are those that `multilight config show` lists: `scenes`, `seed`, `kind`, `renderer`, `width`, `height`,
     `views`, `spp` and so on, tables as dicts (`cameras={"lens_mm": (35.0, 50.0)}`). They go over the TOML file
@@ -44,8 +46,8 @@ def make(
     `assets` are folders of your own models. `workers` processes, one a core unless said, work at scenes; `progress` is
     shown on standard error. Raises `UserError` naming the value and what is allowed, or the scenes that failed.
     """
-    wanted = _configuration(Path(out), preset, config, settings)
-    return _made(Path(out), wanted, tuple(range(wanted.scenes)), assets, workers, repair, progress)
+    wanted = _configuration(out, preset, config, settings)
+    return _made(out, wanted, tuple(range(wanted.scenes)), assets, workers, repair, progress)
 
 
 def make_scene(
@@ -61,12 +63,12 @@ def make_scene(
     """Make one scene of a dataset, the same as it is in the whole one of that seed, and open it; else as `make`."""
     if type(index) is not int or index < 0:
         raise UserError(f"index {index!r} must be a whole number from 0 up")
-    wanted = _configuration(Path(out), preset, config, {"scenes": index + 1} | settings)
-    return _made(Path(out), wanted, (index,), assets, 1, False, progress).scene(index)
+    wanted = _configuration(out, preset, config, {"scenes": index + 1} | settings)
+    return _made(out, wanted, (index,), assets, 1, False, progress, retry=True).scene(index)
 
 
 def _configuration(
-    out: Path, preset: Preset | None, config: str | Path | None, settings: dict[str, Any]
+    out: str | Path, preset: Preset | None, config: str | Path | None, settings: dict[str, Any]
 ) -> DatasetConfig:
     """Lay settings over file, preset and what the dataset was made with."""
     if preset is not None and preset not in PRESETS:
@@ -78,18 +80,22 @@ def _configuration(
 
 
 def _made(
-    out: Path,
+    out: str | Path,
     config: DatasetConfig,
     indices: tuple[int, ...],
     assets: Folders,
     workers: int | None,
     repair: bool,
     progress: bool,
+    retry: bool = False,
 ) -> Dataset:
     if workers is not None and (type(workers) is not int or workers < 1):
         raise UserError(f"workers {workers!r} must be a whole number from 1 up")
     folders = tuple(Path(folder) for folder in ([assets] if isinstance(assets, str | Path) else assets))
-    plan = Plan(out, config, indices, workers or default_workers(len(indices), config), folders, repair)
+    count, folder = workers or default_workers(len(indices), config), local_folder(out)
+    address = str(out) if folder is None else ""
+    limits = limits_for(config)
+    plan = Plan(folder or Path(), config, indices, count, limits, folders, repair, retry=retry, address=address)
     try:
         with _no_main(), shown("views", "starting") if progress else contextlib.nullcontext(silent) as report:
             outcome = make_dataset(plan, report)

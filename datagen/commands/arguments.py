@@ -31,7 +31,7 @@ METAVARS = {
     **dict.fromkeys(("dir", "address", "dataset", "data", "source"), "DIR|ADDRESS"),
     **dict.fromkeys(("config", "file", "background", "depth_model", "weights_2d", "weights_3d", "lpips"), "FILE"),
     **dict.fromkeys(("composite", "mask", "depth", "pose", "gaussians", "weights"), "FILE"),
-    **dict.fromkeys(("capture", "owl", "foscom", "assets"), "DIR"),
+    **dict.fromkeys(("capture", "owl", "foscom", "assets", "parts"), "DIR"),
     "which": "PACK|DIR",
     "asset": "FILE|PACK/NAME",
     "where": "SQL",

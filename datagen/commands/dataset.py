@@ -1,5 +1,6 @@
 """Commands that make scenes: `dataset`, `scene`."""
 
+import math
 import os
 import sys
 import time
@@ -15,9 +16,11 @@ from multilight.datagen.config.dataset import DatasetConfig, Denoise, Kind, Rend
 from multilight.datagen.config.presets import Preset
 from multilight.datagen.errors import UserError
 from multilight.datagen.production.shards import Shard, parse_shard
+from multilight.datagen.storage.address import without_password
 from multilight.datagen.text import duration, plain, size
 
 if TYPE_CHECKING:
+    from multilight.datagen.production.crew import Limits
     from multilight.datagen.production.dataset import Outcome
     from multilight.datagen.production.running import Plan
 
@@ -69,8 +72,10 @@ class Settings:
 class _Options(Settings):
     """What `dataset` and `scene` share besides."""
 
-    out: Path
-    """Folder of the dataset; made where it is missing, continued where it is there."""
+    out: str
+    """Folder or address (s3://bucket/set) of the dataset; made where it is missing, continued where it is there."""
+    log_json: Path | None = None
+    """Add what happens to a file, a line of JSON an event: runs, scenes made and failed, why work stopped."""
 
     def continued(self, **more: object) -> DatasetConfig:
         """Return what to make: what is given, over the dataset's own settings where it is there, else the defaults."""
@@ -88,21 +93,47 @@ class Dataset(_Options):
 
     scenes: Annotated[int | None, config_key("scenes")] = None
     workers: int | None = None
-    """Worker processes (default: one a core)."""
+    """Scenes that are made at once, a process each (default: one a core)."""
     repair: bool = False
     """Look at the contents of all that is there too, not at names and sizes only, and make anew what is damaged."""
     shard: str | None = None
     """Make part I of N only, counted from 0 (`2/8`), then help with parts that other runs on the folder have begun;
     `auto` asks the variables of Slurm and AWS Batch arrays, `auto/N` those of Kubernetes' indexed jobs."""
 
+    executor: Literal["processes", "ray"] = "processes"
+    """What makes scenes: processes of this machine, or a Ray cluster, whose nodes all see the output folder."""
+    address: str = ""
+    """Where the Ray cluster is, HOST:PORT (default: what RAY_ADDRESS says, or the one that runs on this machine)."""
+    limit_minutes: float | None = None
+    """Minutes that a scene may take (default: so many that only one that hangs exceeds them)."""
+    limit_memory: float | None = None
+    """GB of memory that a scene may take (default: what the machine has)."""
+    retry: bool = False
+    """Try again the scenes that were set aside since they failed three times."""
+
     def run(self) -> int:
         """Make what is missing and return the exit code."""
+        from multilight.datagen.commands.output import logged
+        from multilight.datagen.production.crew import limits_for
+
         config = self.continued()
-        indices = tuple(range(config.scenes))
+        for name, value in (("minutes", self.limit_minutes), ("memory", self.limit_memory)):
+            if value is not None and not 0 < value < math.inf:
+                raise UserError(f"--limit-{name} {value} must be more than 0")
         shard = None if self.shard is None else parse_shard(self.shard, os.environ)
-        return make_scenes(
-            self.out, config, indices, workers=self.workers, assets=self.folders, repair=self.repair, shard=shard
-        )
+        with logged(self.log_json):
+            return make_scenes(
+                self.out,
+                config,
+                tuple(range(config.scenes)),
+                workers=self.workers,
+                assets=self.folders,
+                repair=self.repair,
+                shard=shard,
+                limits=limits_for(config, self.limit_minutes, self.limit_memory),
+                retry=self.retry,
+                cluster=self.address if self.executor == "ray" else None,
+            )
 
 
 @dataclass(kw_only=True)
@@ -114,14 +145,17 @@ class Scene(_Options):
 
     def run(self) -> int:
         """Make the scene and return the exit code."""
+        from multilight.datagen.commands.output import logged
+
         if self.index < 0:
             raise UserError(f"--index {self.index} must be 0 or more")
         config = self.continued(scenes=self.index + 1)
-        return make_scenes(self.out, config, (self.index,), workers=1, assets=self.folders)
+        with logged(self.log_json):
+            return make_scenes(self.out, config, (self.index,), workers=1, assets=self.folders, retry=True)
 
 
 def make_scenes(
-    out: Path,
+    out: str | Path,
     config: DatasetConfig,
     indices: tuple[int, ...],
     *,
@@ -129,21 +163,30 @@ def make_scenes(
     assets: tuple[Path, ...],
     repair: bool = False,
     shard: Shard | None = None,
+    limits: "Limits | None" = None,
+    retry: bool = False,
+    cluster: str | None = None,
 ) -> int:
     """Make what is missing or damaged of these scenes of a dataset, say how it went, and return the exit code."""
     from multilight.datagen.commands.doctor import slow_note
     from multilight.datagen.commands.output import progress
+    from multilight.datagen.production.crew import limits_for
     from multilight.datagen.production.dataset import make_dataset
+    from multilight.datagen.production.homes import local_folder
     from multilight.datagen.production.memory import default_workers
     from multilight.datagen.production.running import Plan
 
-    if out.is_symlink() and not out.exists():
-        raise UserError(f"--out {out} is a link that leads nowhere (to {out.readlink()}); make that folder first")
+    folder = local_folder(out)
+    if folder is not None and folder.is_symlink() and not folder.exists():
+        raise UserError(f"--out {out} is a link that leads nowhere (to {folder.readlink()}); make that folder first")
     if workers is not None and workers < 1:
         raise UserError(f"--workers {workers} must be 1 or more")
     if note := slow_note(config.renderer):
         print(note, file=sys.stderr)
-    plan = Plan(out, config, indices, workers or default_workers(len(indices), config), assets, repair, shard)
+    address = str(out) if folder is None else ""
+    workers = workers or (len(indices) if cluster is not None else default_workers(len(indices), config))
+    limits = limits or limits_for(config)
+    plan = Plan(folder or Path(), config, indices, workers, limits, assets, repair, shard, retry, cluster, address)
     start = time.monotonic()
     with progress("views", "starting") as report:
         outcome = make_dataset(plan, report)
@@ -153,9 +196,11 @@ def make_scenes(
         print(plain(f"  {asset}: {reason}"), file=sys.stderr)
     for index in outcome.changed:
         print(f"scene {index} is not what it was: assets or versions are others now", file=sys.stderr)
+    for reason in outcome.tried_again:
+        print(plain(f"tried again: {reason}"), file=sys.stderr)
     for index, reason in outcome.failures.items():
         print(plain(f"failed: scene {index}: {reason}"), file=sys.stderr)
-    print(plain(f"{out}: " + summary(plan, outcome, time.monotonic() - start)))
+    print(plain(f"{without_password(out)}: " + summary(plan, outcome, time.monotonic() - start)))
     return 1 if outcome.failures else 0
 
 
@@ -168,6 +213,8 @@ def summary(plan: "Plan", outcome: "Outcome", seconds: float) -> str:
         f"{len(outcome.made)} made, {outcome.kept} kept"
         + f", {outcome.others} made by other runs" * bool(outcome.others)
         + f", {len(outcome.failures)} failed" * bool(outcome.failures)
+        + f", {len(outcome.tried_again)} tries failed and were repeated" * bool(outcome.tried_again)
+        + f", {outcome.retried} requests tried again" * bool(outcome.retried)
     ]
     told.append(f"{outcome.views} views, {size(outcome.size)}")
     spent = sum(outcome.seconds.values()) or 1.0

@@ -2,17 +2,20 @@
 
 import contextlib
 import json
+import logging
 import sys
 import threading
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from multilight.datagen.report import Report
+from multilight.datagen.files.outputs import check_file
+from multilight.datagen.report import LOG, Report, event
 from multilight.datagen.storage.open_dataset import repair_command
 from multilight.datagen.tables import print_table
 from multilight.datagen.text import duration, plain, size, terminal
@@ -124,6 +127,43 @@ def _lines(console: Console, meter: _Meter) -> Iterator[Report]:
     finally:
         over.set()
         teller.join()
+
+
+class _Lines(logging.FileHandler):
+    """A line of JSON an event; where the file cannot be written any more, that is told once."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        when = datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds")
+        about = {"time": when, "event": record.getMessage(), "process": record.process}
+        return json.dumps(about | getattr(record, "about", {}), default=str)
+
+    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802  (the library's name)
+        LOG.removeHandler(self)
+        print(
+            plain(f"{self.baseFilename} cannot be written: {getattr(sys.exc_info()[1], 'strerror', None)}"),
+            file=sys.stderr,
+        )
+
+
+@contextlib.contextmanager
+def logged(path: Path | None) -> Iterator[None]:
+    """Add what happens to a file, a line of JSON an event; raises `UserError` where it cannot be written."""
+    if path is None:
+        yield
+        return
+    check_file(path)
+    handler = _Lines(path, encoding="utf-8")
+    LOG.addHandler(handler)
+    LOG.setLevel(logging.INFO)
+    try:
+        yield
+    except BaseException as error:
+        event("run stopped", reason=str(error) or type(error).__name__)
+        raise
+    finally:
+        LOG.removeHandler(handler)
+        with contextlib.suppress(OSError):  # told above
+            handler.close()
 
 
 def print_written(out: Path, what: str) -> None:

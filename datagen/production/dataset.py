@@ -1,26 +1,31 @@
 """Make or continue a dataset: plan, worker processes, index; resumable after any kill."""
 
 import contextlib
-import importlib.metadata
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
 
 from multilight.datagen.backends.choose import resolve_renderer
-from multilight.datagen.backends.machine.mitsuba_variant import choose_variant
 from multilight.datagen.config.dataset import DatasetConfig, RendererName
 from multilight.datagen.errors import StoreError, UserError, full_disk_told
-from multilight.datagen.files.locks import locked
-from multilight.datagen.production.drivers import Driver
-from multilight.datagen.production.finishing import finish, survey
+from multilight.datagen.production.aside import aside_name, take_up, why_aside
+from multilight.datagen.production.homes import Home, open_home
 from multilight.datagen.production.library import check_library, located, same_background
-from multilight.datagen.production.running import PATIENCE, Plan, Work, run_scenes
-from multilight.datagen.report import Report
+from multilight.datagen.production.makers import Makers, makers_here
+from multilight.datagen.production.running import Plan, Work, run_scenes
+from multilight.datagen.report import Report, event
 from multilight.datagen.storage.address import find_place
-from multilight.datagen.storage.blocks import read_blocks
+from multilight.datagen.storage.open_dataset import read_record, scene_names
 from multilight.datagen.storage.records import GHOSTS, DatasetRecord, ImportAccount
-from multilight.datagen.storage.store import COPIES, read_dataset, read_scene, scene_dir, scene_indices, write_text
+from multilight.datagen.storage.store import (
+    COPIES,
+    MOST_RECORD,
+    parse_dataset,
+    read_dataset,
+    scene_indices,
+    write_text,
+)
 from multilight.datagen.verification.dataset import ANEW
 from multilight.scenes.assets.cache import check_cache, file_digest
 from multilight.scenes.assets.check import MODELS
@@ -28,17 +33,16 @@ from multilight.scenes.assets.info import AssetRole
 from multilight.scenes.assets.library import AssetError, AssetLibrary
 from multilight.scenes.assets.packs.background import PACK
 
-VERSIONS = ("multilight", "bpy", "mitsuba", "drjit", "mitsuba-oidn", "OpenEXR", "trimesh", "numpy", "colour-science")
-
 
 @dataclass(frozen=True)
 class Outcome:
     """What a run did; `failures` maps a scene, `broken` an asset that was passed over, to one line of reason.
 
+    Scenes that failed are set aside; `tried_again` says of each failed try that was not the last why.
     `changed` are scenes that were damaged and came out otherwise than the index states; `seconds` maps each stage to
     the time it took, over all workers; `thrown_away` are the reasons of the draws that failed a check and were drawn
     anew; `views` and `size` are the number and the bytes of the views that were made, `others` the scenes that other
-    runs on the folder made meanwhile.
+    runs on the folder made meanwhile, `retried` the requests to a bucket that were tried again.
     """
 
     made: tuple[int, ...]
@@ -51,6 +55,8 @@ class Outcome:
     views: int = 0
     size: int = 0
     others: int = 0
+    tried_again: tuple[str, ...] = ()
+    retried: int = 0
 
 
 def make_dataset(plan: Plan, report: Report) -> Outcome:
@@ -61,48 +67,59 @@ def make_dataset(plan: Plan, report: Report) -> Outcome:
     """
     renderer = resolve_renderer(plan.config.renderer)
     _check_kind(plan.config, renderer)
-    plan = replace(plan, config=located(plan.config, plan.root))
     if renderer != "analytic":
         check_cache()
-    library = check_library(plan.config, plan.asset_folders)
-    with full_disk_told(plan.root):
-        with locked(plan.root, PATIENCE):
-            record = _open_record(plan, renderer)
-            if library is not None and (said := _accounts(library)) != record.imports:
-                record = record.model_copy(update={"imports": said}).sealed()
-                write_text(plan.root / "dataset.json", record.model_dump_json(indent=1))
-            for leftover in plan.root.glob(".*.tmp*"):
-                leftover.unlink()
-            driver = Driver(plan.root, plan.shard)
-            index = read_blocks(find_place(plan.root), record)
-        try:
-            report(0, 0, "looking at what is there")
-            there = survey(plan.root, record, index, contents=plan.repair)
-            return _made(plan, Work(plan, renderer, there, driver, report), library, record)
-        finally:
-            with contextlib.suppress(UserError), locked(plan.root, PATIENCE):  # on a full disk there may be no lock
-                driver.leave()
+    with open_home(plan.root, plan.address) as home:
+        plan = replace(plan, config=located(plan.config, home.root), root=home.root)
+        library = check_library(plan.config, plan.asset_folders)
+        here = makers_here(renderer, library)
+        with full_disk_told(plan.root):
+            with home.held():
+                record = _open_record(plan, renderer, home, here)
+                if library is not None and (said := _accounts(library)) != record.imports:
+                    record = record.model_copy(update={"imports": said}).sealed()
+                    write_text(plan.root / "dataset.json", record.model_dump_json(indent=1))
+                for leftover in plan.root.glob(".*.tmp*"):
+                    leftover.unlink()
+                driver = home.join(plan.shard)
+            try:
+                report(0, 0, "looking at what is there")
+                there = home.survey(contents=plan.repair)
+                gpu = record.variant.startswith("cuda")
+                return _made(plan, Work(plan, renderer, gpu, there, home, driver, report), library, record, here)
+            finally:
+                with contextlib.suppress(UserError), home.held():  # on a full disk there may be no lock
+                    driver.leave()
 
 
-def _made(plan: Plan, work: Work, library: AssetLibrary | None, record: DatasetRecord) -> Outcome:
+def _made(plan: Plan, work: Work, library: AssetLibrary | None, record: DatasetRecord, here: Makers) -> Outcome:
     """Make what is missing of the plan, and finish."""
     there = work.there
     wanted = sorted({*(i for i in plan.indices if plan.shard is None or plan.shard.has(i)), *there.damaged})
     missing = tuple(i for i in wanted if i not in there.sound)
-    further = () if plan.shard is None else tuple(i for i in plan.indices if i not in there.sound)
-    failures: dict[int, str] = {}
+    further = () if plan.shard is None else tuple(sorted({*plan.indices} - there.sound - {*missing}))
+    for index in missing if plan.retry else ():
+        take_up(plan.root, index)
+    place = work.home.place.address
+    event("run begins", out=place, scenes=len(wanted), missing=len(missing), workers=plan.workers)
     if missing or further:
         for index, reason in there.damaged.items():
             print(f"scene {index} is damaged and made anew: {reason}", file=sys.stderr)
-        if there.sound or there.damaged:
-            _check_makers(record, plan)
+        _check_makers(record, plan, here)
         work.broken.update({} if library is None else _broken_models(library))
-        failures = run_scenes(work, missing, further)
-    with locked(plan.root, PATIENCE):
-        finish(plan.root, there)
+        run_scenes(work, missing, further)
+    home = work.home
+    with home.held():
+        home.finish(there)
         if {*missing, *further} - work.made.keys():  # of what runs made that were killed, nobody has written the rows
-            now = read_dataset(plan.root)
-            finish(plan.root, survey(plan.root, now, read_blocks(find_place(plan.root), now), contents=False))
+            home.finish(home.survey(contents=False))
+    aside = {index: why_aside(plan.root, index) for index in missing if index not in work.made}
+    failures = {
+        index: f"{why}; set aside, --retry tries it again (seed {plan.config.seed}, log {place}/{aside_name(index)})"
+        for index, why in aside.items()
+        if why
+    }
+    event("run ends", made=len(work.made), failed=len(failures), scenes=len(there.sound))
     return Outcome(
         made=tuple(work.made),
         kept=len(wanted) - len(missing),
@@ -111,18 +128,19 @@ def _made(plan: Plan, work: Work, library: AssetLibrary | None, record: DatasetR
         seconds=work.seconds,
         changed=tuple(work.changed),
         thrown_away=tuple(work.thrown_away),
+        tried_again=tuple(work.tried_again),
         views=sum(views for views, _ in work.made.values()),
         size=sum(size for _, size in work.made.values()),
+        retried=len(work.retried) + len(home.retried),
         others=len(set(missing) - work.made.keys() - failures.keys()),
     )
 
 
-def settings_of(root: Path) -> dict[str, Any]:
-    """Return what the dataset in a folder was made with, to be continued so; nothing where there is none."""
-    if (root / "dataset.json").exists():
-        with contextlib.suppress(StoreError):  # damaged: told where it is continued
-            record = read_dataset(root)
-            return record.config.model_dump(exclude={"renderer"}) | {"renderer": record.renderer}
+def settings_of(out: str | Path) -> dict[str, Any]:
+    """Return what the dataset in a folder or at an address was made with, to be continued so; nothing for none."""
+    with contextlib.suppress(StoreError):  # damaged: told where it is continued
+        record = parse_dataset(find_place(out).read("dataset.json", MOST_RECORD), "")
+        return record.config.model_dump(exclude={"renderer"}) | {"renderer": record.renderer}
     return {}
 
 
@@ -134,55 +152,47 @@ def _check_kind(config: DatasetConfig, renderer: RendererName) -> None:
         )
 
 
-def _check_makers(record: DatasetRecord, plan: Plan) -> None:
-    """Raise `UserError` where packs that scenes drew from are missing; tell where other versions make what is new."""
-    here = {PACK, *(folder.resolve().name for folder in plan.asset_folders), *AssetLibrary().packs}
-    if missing := sorted({credit.pack for credit in record.assets} - here):
+def _check_makers(record: DatasetRecord, plan: Plan, here: Makers) -> None:
+    """Raise `UserError` where packs that scenes drew from are missing; tell where others make what is new."""
+    there = {PACK, *(folder.resolve().name for folder in plan.asset_folders), *AssetLibrary().packs}
+    if missing := sorted({credit.pack for credit in record.assets} - there):
         raise UserError(
-            f"{plan.root} was made with the pack {missing[0]!r}, which is not there; run `multilight assets fetch "
+            f"{plan.place} was made with the pack {missing[0]!r}, which is not there; run `multilight assets fetch "
             f"{missing[0]}`, or name the folder of that name with --assets"
         )
-    versions = {package: importlib.metadata.version(package) for package in record.versions if package in VERSIONS}
-    if other := [f"{p} {record.versions[p]}, now {v}" for p, v in versions.items() if v != record.versions[p]]:
-        print(f"{plan.root} was made with {'; '.join(other)}: scenes may come out otherwise", file=sys.stderr)
+    if said := here.others(record):
+        print(f"{plan.place} was made with {'; '.join(said)}: scenes may come out otherwise", file=sys.stderr)
 
 
-def _open_record(plan: Plan, renderer: RendererName) -> DatasetRecord:
+def _open_record(plan: Plan, renderer: RendererName, home: Home, here: Makers) -> DatasetRecord:
     """Write `dataset.json`, or check that what is there was made with the same configuration and renderer."""
-    path = plan.root / "dataset.json"
-    variant = (choose_variant().variant or "") if renderer == "mitsuba" else ""
+    path, name = plan.root / "dataset.json", home.place.address
     if not path.exists() and not scene_indices(plan.root):
         if any(not p.name.startswith(".") for p in plan.root.iterdir()):
-            raise UserError(f"output folder {plan.root} holds other files and no dataset; choose an empty --out")
-        return _new_record(plan, renderer, variant)
-    if any((plan.root / name).exists() for name in COPIES):
-        raise UserError(f"{plan.root} is a packed copy or an export; the command that made it makes it anew")
+            raise UserError(f"output folder {name} holds other files and no dataset; choose an empty --out")
+        return _new_record(plan, renderer, here)
+    if any(home.place.exists(file) for file in COPIES):
+        raise UserError(f"{name} is a packed copy or an export; the command that made it makes it anew")
     try:
         record = read_dataset(plan.root)
     except StoreError as error:
-        return _restored_record(plan, renderer, variant, error)
+        return _restored_record(plan, renderer, home, here, error)
     if record.schema_version <= GHOSTS:
-        raise UserError(f"{plan.root} cannot be continued or repaired: {ANEW}")
+        raise UserError(f"{name} cannot be continued or repaired: {ANEW}")
     if record.renderer != renderer:
         raise UserError(
-            f"{plan.root} was made with renderer {record.renderer!r} and cannot be continued with {renderer!r}; "
+            f"{name} was made with renderer {record.renderer!r} and cannot be continued with {renderer!r}; "
             f"use --renderer {record.renderer} or another --out"
         )
     if record.variant == "scalar_rgb":
         raise UserError(
-            f"{plan.root} was made with Mitsuba's variant 'scalar_rgb', which is gone and looks different; "
+            f"{name} was made with Mitsuba's variant 'scalar_rgb', which is gone and looks different; "
             "it can be read, but not continued: use another --out"
         )
-    old, new = record.config.model_dump(), plan.config.model_dump()
-
-    def differs(key: str) -> bool:
-        same = key == "background" and same_background(record, plan.config.background)
-        return key not in ("scenes", "renderer") and old[key] != new[key] and not same
-
-    if other := [key for key in old if differs(key)]:
+    same = same_background(record, plan.config.background)
+    if other := record.other_settings(plan.config, same_background=same):
         raise UserError(
-            f"{plan.root} was made with {', '.join(f'{key} = {old[key]!r}, not {new[key]!r}' for key in other)}; "
-            "leave that away to continue it as it is, or use another --out"
+            f"{name} was made with {', '.join(other)}; leave that away to continue it as it is, or use another --out"
         )
     if plan.config.scenes > record.config.scenes:
         grown = record.config.model_copy(update={"scenes": plan.config.scenes})
@@ -191,30 +201,27 @@ def _open_record(plan: Plan, renderer: RendererName) -> DatasetRecord:
     return record
 
 
-def _new_record(plan: Plan, renderer: RendererName, variant: str) -> DatasetRecord:
+def _new_record(plan: Plan, renderer: RendererName, here: Makers) -> DatasetRecord:
     """Write the `dataset.json` of a dataset that begins."""
-    versions = {package: importlib.metadata.version(package) for package in VERSIONS}
     seen = "" if plan.config.background is None else file_digest(plan.config.background) or ""
-    made = DatasetRecord(
-        config=plan.config, renderer=renderer, variant=variant, versions=versions, background_sha256=seen
-    )
+    made = DatasetRecord(config=plan.config, renderer=renderer, background_sha256=seen, **vars(here))
     record = made.sealed()
     write_text(plan.root / "dataset.json", record.model_dump_json(indent=1))
     return record
 
 
-def _restored_record(plan: Plan, renderer: RendererName, variant: str, error: StoreError) -> DatasetRecord:
+def _restored_record(plan: Plan, renderer: RendererName, home: Home, here: Makers, error: StoreError) -> DatasetRecord:
     """Write a damaged `dataset.json` anew from the options given, where every record that can be read agrees."""
-    how = f"give --repair and the options that {plan.root} was made with"
+    how = f"give --repair and the options that {plan.place} was made with"
     if not plan.repair:
         raise UserError(f"{error}; to write it anew, {how}")
     record = DatasetRecord(config=plan.config, renderer=renderer, versions={})
-    for index in scene_indices(plan.root):
+    for index in scene_names(home.place) or ():
         with contextlib.suppress(StoreError):
-            if reason := record.misfit(read_scene(scene_dir(plan.root, index))):
+            if reason := record.misfit(read_record(home.place, index)):
                 raise UserError(f"{error}; to write it anew, {how}: of scene {index} {reason}")
     print(f"{error}; it is written anew from the options given", file=sys.stderr)
-    return _new_record(plan, renderer, variant)
+    return _new_record(plan, renderer, here)
 
 
 def _accounts(library: AssetLibrary) -> tuple[ImportAccount, ...]:

@@ -1,7 +1,8 @@
 """Several runs on one folder: which of them live, and which scene is in whose hands.
 
 A run has a file of its own, `.drivers/TOKEN`, which is locked while it lives (the kernel lets go with the process) and
-touched every few seconds, for other machines to see. `.drivers/000123` holds the token of the run that makes a scene.
+touched every few seconds, for other machines to see; `.drivers/TOKEN.json` says what it does. `.drivers/000123` holds
+the token of the run that makes a scene.
 A mark, `.drivers/shard-2-8`, says that a part was begun: those who are done with their own help with begun ones only.
 
 Claims save work, nothing hangs on them: a scene is the same whoever makes it, and gets its name whole or not at all. So
@@ -15,6 +16,7 @@ import shutil
 import threading
 import time
 import uuid
+from collections.abc import Callable
 from pathlib import Path
 from typing import IO
 
@@ -40,6 +42,7 @@ class Driver:
         for path in (*self._folder.glob("?" * len(self.token)), *self._folder.glob(".*.tmp*")):
             if not self.lives(path.name):
                 path.unlink(missing_ok=True)
+                path.with_suffix(".json").unlink(missing_ok=True)
         if not self.others():
             shutil.rmtree(root / "logs", ignore_errors=True)
         for path in root.glob("work/*"):
@@ -49,26 +52,28 @@ class Driver:
         if shard is not None:
             (self._folder / f"shard-{shard.number}-{shard.count}").touch()
         self._over = threading.Event()
-        threading.Thread(target=self._beat, daemon=True).start()
+        self._state: Callable[[], str] = str
+        self._beating = threading.Thread(target=self._beat, daemon=True)
+        self._beating.start()
+
+    def tells(self, state: Callable[[], str]) -> None:
+        """Have the run's state written with each sign of life, for others to see."""
+        self._state = state
+        self._tell()
 
     def claim(self, scene: int) -> bool:
         """Take a scene in hand; not if a run that lives has it."""
-        path = self._folder / f"{scene:06d}"
-        with contextlib.suppress(FileExistsError), path.open("x") as claim:
-            claim.write(self.token)
+        name = f"{scene:06d}"
+        if self._create(name) or (holder := self._read(name)) == self.token:
             return True
-        with contextlib.suppress(OSError):
-            if (holder := path.read_text()) == self.token:
-                return True
-            if not self.lives(holder):  # of two that see so at once, both may make the scene
-                with write_whole(path) as work:
-                    work.write_text(self.token)
-                return True
-        return False
+        if holder is None or self.lives(holder):
+            return False
+        self._write(name, self.token)  # of two that see so at once, both may make the scene
+        return True
 
     def release(self, scene: int) -> None:
         """Let go of a scene, made or not."""
-        (self._folder / f"{scene:06d}").unlink(missing_ok=True)
+        self._remove(f"{scene:06d}")
 
     def begun(self, shard: Shard) -> bool:
         """Whether a run of that part has ever been at work here."""
@@ -82,7 +87,9 @@ class Driver:
     def leave(self) -> None:
         """Leave; the last one takes with it what only served the work. To be called under the folder's lock."""
         self._over.set()
+        self._beating.join()
         (self._folder / self.token).unlink(missing_ok=True)
+        (self._folder / f"{self.token}.json").unlink(missing_ok=True)
         self._file.close()
         for path in self._root.glob(f"work/*-{self.token}"):
             shutil.rmtree(path, ignore_errors=True)
@@ -128,6 +135,30 @@ class Driver:
         while not self._over.wait(BEAT):
             with contextlib.suppress(OSError):
                 os.utime(self._folder / self.token)
+            self._tell()
+
+    def _tell(self) -> None:
+        if said := self._state():
+            self._write(f"{self.token}.json", said)
+
+    def _create(self, name: str) -> bool:
+        """Write the token into a file, unless there is one of that name."""
+        with contextlib.suppress(FileExistsError), (self._folder / name).open("x") as file:
+            file.write(self.token)
+            return True
+        return False
+
+    def _read(self, name: str) -> str | None:
+        with contextlib.suppress(OSError):
+            return (self._folder / name).read_text(encoding="utf-8")
+        return None
+
+    def _write(self, name: str, text: str) -> None:
+        with contextlib.suppress(OSError), write_whole(self._folder / name) as work:
+            work.write_text(text, encoding="utf-8")
+
+    def _remove(self, name: str) -> None:
+        (self._folder / name).unlink(missing_ok=True)
 
 
 def _machine() -> str:

@@ -18,8 +18,7 @@ from multilight.datagen.backends.choose import resolve_renderer
 from multilight.datagen.config.dataset import DatasetConfig
 from multilight.datagen.errors import UserError
 from multilight.datagen.production.library import check_library
-from multilight.datagen.production.running import scenes_a_worker
-from multilight.datagen.production.worker import WorkerSetup, run_scene
+from multilight.datagen.production.worker import WorkerSetup, run_scene, scenes_a_worker
 from multilight.datagen.report import Report
 from multilight.datagen.storage.store import scene_dir
 from multilight.scenes.errors import MultilightError

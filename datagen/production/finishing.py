@@ -4,14 +4,15 @@ import contextlib
 import hashlib
 import os
 from collections import Counter, defaultdict
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from stat import S_ISREG
 
 import polars as pl
 
-from multilight.datagen.storage.address import find_place
+from multilight.datagen.production.aside import FOLDER
+from multilight.datagen.storage.address import Place, find_place
 from multilight.datagen.storage.blocks import BLOCK, Index, block_file, joined, read_blocks, stated_blocks
 from multilight.datagen.storage.index import Row, index_bytes, index_row, index_table, table_of
 from multilight.datagen.storage.open_dataset import scene_names
@@ -50,12 +51,33 @@ def survey(root: Path, dataset: DatasetRecord, index: Index, *, contents: bool) 
     Records are read of scenes that the index does not have, and of those of which a file was changed after the index
     was written. With `contents` a file too many is damage as well: what is made anew has none.
     """
-    place, found = find_place(root), Survey(unread=set(index.faults))
-    stated, complete = _stated(root, dataset, index)
+    place, written = find_place(root), dict[int, int]()
+    for block, table in index.sound().items():
+        written.update(dict.fromkeys(table["index"], (root / block_file(block)).stat().st_ctime_ns))
+    numbers = [number for number in scene_names(place) or () if number < dataset.config.scenes]
+
+    def untouched(number: int, views: int, size: int) -> bool:
+        return _untouched(str(scene_dir(root, number)), views, size, written[number])
+
+    return look(place, numbers, dataset, index, untouched, contents=contents)
+
+
+def look(
+    place: Place,
+    numbers: Iterable[int],
+    dataset: DatasetRecord,
+    index: Index,
+    untouched: Callable[[int, int, int], bool],
+    *,
+    contents: bool,
+) -> Survey:
+    """Look at scenes at any place; of those with a row `untouched`, given number of views and bytes, saves the rest."""
+    found = Survey(unread=set(index.faults))
+    stated, complete = _stated(dataset, index)
     found.stated.update((number, row[0]) for number, row in stated.items())
-    for number in (n for n in scene_names(place) or () if n < dataset.config.scenes):
+    for number in numbers:
         known = stated.get(number) if complete else None
-        if known is not None and not contents and _untouched(str(scene_dir(root, number)), *known[1:]):
+        if known is not None and not contents and untouched(number, *known[1:]):
             found.sound.add(number)
             continue
         files = check_files(place, number, dataset, contents=contents, extras=contents)
@@ -71,18 +93,14 @@ def survey(root: Path, dataset: DatasetRecord, index: Index, *, contents: bool) 
     return found
 
 
-def _stated(root: Path, dataset: DatasetRecord, index: Index) -> tuple[dict[int, tuple[str, int, int, int]], bool]:
-    """Return what the index states of each scene: hash, views, bytes, and when its block was written [ns].
+def _stated(dataset: DatasetRecord, index: Index) -> tuple[dict[int, tuple[str, int, int]], bool]:
+    """Return what the index states of each scene: hash, views, bytes.
 
     And whether it has all that `dataset.json` is made from; one of version 0.2.0 and before has not.
     """
-    stated: dict[int, tuple[str, int, int, int]] = {}
-    sound = index.sound()
-    for number, table in sound.items():
-        written = (root / block_file(number)).stat().st_ctime_ns
-        rows = table.select("index", "record_sha256", "views", "bytes").iter_rows()
-        stated.update((scene, (digest, views, size, written)) for scene, digest, views, size in rows)
-    whole = joined(sound.values())
+    whole = joined(index.sound().values())
+    rows = whole.select("index", "record_sha256", "views", "bytes").iter_rows()
+    stated = {scene: (digest, views, size) for scene, digest, views, size in rows}
     return stated, not whole["assets"].has_nulls() and {*_used(whole)} <= {credit.id for credit in dataset.assets}
 
 
@@ -97,21 +115,24 @@ def _untouched(folder: str, views: int, size: int, since: int) -> bool:
     return whole and changed < since
 
 
-def finish(root: Path, there: Survey) -> None:
+def finish(root: Path, there: Survey, scenes: Place | None = None) -> None:
     """Bring index and `dataset.json` up to what is `there`, in the blocks that have changed, and forget its rows.
 
     Rows of other scenes stay, so that several runs may do so, one after the other, in any order; to be called under
-    the folder's lock.
+    the folder's lock. `scenes` is where the scenes lie, if not in the folder.
     """
     place, dataset = find_place(root), read_dataset(root)
-    with contextlib.suppress(OSError):
-        (root / "logs").rmdir()
+    for name in ("logs", FOLDER):
+        with contextlib.suppress(OSError):
+            (root / name).rmdir()
     index = read_blocks(place, dataset)
     if set(index.faults) - there.unread:  # damaged since, or not finished by a run that was killed
         again = survey(root, dataset, index, contents=False)
         there.rows.update(again.rows | there.rows)
         there.credits.update(again.credits)
-    lost = {n for n in there.stated.keys() - there.sound if check_files(place, n, dataset, extras=False).faults}
+    lost = {
+        n for n in there.stated.keys() - there.sound if check_files(scenes or place, n, dataset, extras=False).faults
+    }
     tables = _in_blocks(index.sound())
     changed = {number // BLOCK for number in (*there.rows, *lost)} | index.faults.keys() | there.looked
     changed |= {number for number in tables.keys() | {0} if tables.get(number) is not index.tables.get(number)}

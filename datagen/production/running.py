@@ -1,48 +1,33 @@
-"""Have worker processes make scenes, those that no other run on the folder has in hand."""
+"""Have scenes made, those that no other run on the folder has in hand."""
 
-import contextlib
 import glob
-import multiprocessing
 import os
 import shutil
-import signal
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Sequence
-from concurrent.futures import FIRST_COMPLETED, wait
-from concurrent.futures import TimeoutError as FutureTimeout
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from pebble import ProcessExpired, ProcessFuture, ProcessPool
-
-from multilight.datagen.backends.protocol import LARGE
 from multilight.datagen.config.dataset import DatasetConfig, RendererName
-from multilight.datagen.errors import RunStoppedError, UserError
-from multilight.datagen.files.locks import locked
+from multilight.datagen.production.aside import set_aside, take_up, why_aside
+from multilight.datagen.production.crew import Crew, Limits, Workers
 from multilight.datagen.production.drivers import Driver
-from multilight.datagen.production.finishing import Survey, finish
+from multilight.datagen.production.finishing import Survey
+from multilight.datagen.production.homes import Home
 from multilight.datagen.production.shards import Shard
-from multilight.datagen.production.worker import WorkerReport, WorkerSetup, log_path, run_scene
-from multilight.datagen.report import Report
-from multilight.datagen.storage.store import scene_dir
+from multilight.datagen.production.status import state_here
+from multilight.datagen.production.worker import WorkerReport, WorkerSetup
+from multilight.datagen.report import Report, event
+from multilight.datagen.storage.address import without_password
 
 AHEAD = 2
 """Scenes a worker that are handed out: the one in work, and the next."""
 BETWEEN = 60.0
 """Seconds from one writing of the index to the next, while scenes are made."""
-PATIENCE = 600.0
-"""Seconds to wait for another run that writes the index, which takes it a few."""
-SCENES_A_WORKER: dict[RendererName, int] = {"cycles": 25, "mitsuba": 50, "analytic": 1000}
-"""Then a fresh process: a long-lived Blender grows. A fresh one has to read its meshes and textures anew, which is
-little beside a scene of large pictures: of such each has a process to itself."""
-SECONDS_A_MEGASAMPLE = 60.0  # a hundred times what a slow core needs; only a hung scene exceeds it
-LEAST_TIMEOUT = 600.0
-
-
-def scenes_a_worker(renderer: RendererName, config: DatasetConfig) -> int:
-    """Return how many scenes a process makes."""
-    return 1 if config.width * config.height > LARGE else SCENES_A_WORKER[renderer]
+TRIES = 3
+"""Then a scene is set aside, if it was not its own fault before."""
 
 
 @dataclass(frozen=True)
@@ -50,28 +35,42 @@ class Plan:
     """A run: where, what, which scenes, with how many processes.
 
     `repair` looks at the contents of what is there as well, not at names and sizes only. Of a `shard`, what is its own
-    comes first, then help with those that others have begun.
+    comes first, then help with those that others have begun. Scenes that were set aside are left so unless `retry`.
+    `cluster` is the address of a Ray cluster that makes them, "" for the one that is found. The
+    dataset lies at an `address`, if that is given, and `root` is where it is worked on.
     """
 
     root: Path
     config: DatasetConfig
     indices: tuple[int, ...]
     workers: int
+    limits: Limits
     asset_folders: tuple[Path, ...] = ()
     repair: bool = False
     shard: Shard | None = None
+    retry: bool = False
+    cluster: str | None = None
+    address: str = ""
+
+    @property
+    def place(self) -> str:
+        """Where the dataset lies, in words."""
+        return without_password(self.address or self.root)
 
 
 @dataclass(frozen=True)
 class Work:
     """Scenes in the making, and what is learned meanwhile: broken assets, where the time goes, what was drawn anew.
 
-    `there` gets the scenes that are made, `made` the number and the bytes of their views.
+    `gpu` says that what is rendered needs one; `there` gets the scenes that are made, `made` the number and the bytes
+    of their views, `tried_again` a line for each try that failed and was not the last.
     """
 
     plan: Plan
     renderer: RendererName
+    gpu: bool
     there: Survey
+    home: Home
     driver: Driver
     report: Report
     broken: dict[str, str] = field(default_factory=dict)
@@ -79,6 +78,8 @@ class Work:
     changed: list[int] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=dict)
     thrown_away: list[str] = field(default_factory=list)
+    tried_again: list[str] = field(default_factory=list)
+    retried: list[str] = field(default_factory=list)
 
     def take(self, told: WorkerReport) -> None:
         """Count a scene in that was made."""
@@ -89,39 +90,49 @@ class Work:
         self.made[index] = told.row["views"], told.row["bytes"]
         self.broken.update(told.broken)
         self.thrown_away.extend(told.thrown_away)
+        self.retried.extend(told.retried)
+        for reason in told.retried:
+            event("request tried again", scene=index, reason=reason)
+        event(
+            "scene made", scene=index, views=told.row["views"], bytes=told.row["bytes"], seconds=told.seconds,
+            thrown_away=told.thrown_away,
+        )  # fmt: skip
         for stage, seconds in told.seconds.items():
             self.seconds[stage] = self.seconds.get(stage, 0.0) + seconds
 
 
-def run_scenes(work: Work, missing: Sequence[int], further: Sequence[int]) -> dict[int, str]:
-    """Make the scenes that are missing, then help with further ones; return the reasons of those that failed.
+def run_scenes(work: Work, missing: Sequence[int], further: Sequence[int]) -> None:
+    """Make the scenes that are missing, then help with further ones; those that cannot be made are set aside.
 
-    Ends when the missing ones are there, whoever made them.
+    Ends when the missing ones are there or set aside, whoever did that.
     """
     plan = work.plan
-    workers = min(plan.workers, max(1, len(missing) + len(further)))
-    threads = max(1, len(os.sched_getaffinity(0)) // workers)
+    count = min(plan.workers, max(1, len(missing) + len(further)))
+    threads = max(1, len(os.sched_getaffinity(0)) // count)
     setup = WorkerSetup(
-        plan.config, work.renderer, plan.root, plan.asset_folders, threads, os.getpid(), work.driver.token
+        plan.config, work.renderer, plan.root, plan.asset_folders, threads, os.getpid(), work.driver.token, plan.address
     )
-    pool = ProcessPool(
-        max_workers=workers,
-        max_tasks=scenes_a_worker(work.renderer, plan.config),
-        context=multiprocessing.get_context("spawn"),
-    )
-    hand = _Hand(work, deque(missing), deque(further))
+    workers: Workers
+    if plan.cluster is None:
+        workers = Crew(setup, plan.limits, count)
+    else:
+        from multilight.datagen.production.cluster import Cluster  # imports ray, which few need
+
+        workers = Cluster(setup, plan.limits, count, plan.cluster, gpu=work.gpu)
     try:
-        failures = _collect(work, hand, pool, setup, AHEAD * workers)
-        pool.close()
-        pool.join()
+        _collect(work, _Hand(work, deque(missing), deque(further)), workers)
+        workers.stop(at_once=False)
     except BaseException:
-        pool.stop()
-        pool.join()
+        workers.stop(at_once=True)
         # Half-made scenes are of no use to anyone, and on a full disk they are in the way.
-        for path in plan.root.glob(f"work/*-{work.driver.token}"):
-            shutil.rmtree(path, ignore_errors=True)
+        _clear(work, "*")
         raise
-    return failures
+
+
+def _clear(work: Work, scene: str) -> None:
+    """Throw away what is half made."""
+    for path in work.plan.root.glob(f"work/{scene}-*-{work.driver.token}"):
+        shutil.rmtree(path, ignore_errors=True)
 
 
 class _Hand:
@@ -129,16 +140,22 @@ class _Hand:
 
     def __init__(self, work: Work, own: deque[int], further: deque[int]) -> None:
         self._work, self.own, self._further = work, own, further
-        self._before = {index: _folder(work.plan.root, index) for index in work.there.damaged}
+        self._before = {index: work.home.state(index) for index in work.there.damaged}
+        self._not_before = 0.0
 
     def next(self) -> int | None:
         """Claim a scene; None where all that are left are in others' hands."""
+        if time.monotonic() < self._not_before:
+            return None
         found = self._claimed(self.own)
-        return found if found is not None else self._claimed(self._further)
+        found = found if found is not None else self._claimed(self._further)
+        if found is None:
+            self._not_before = time.monotonic() + self._work.home.pause
+        return found
 
     def made(self, index: int) -> bool:
         """Whether a scene is there that was not, or was damaged, when this run began."""
-        return _folder(self._work.plan.root, index) not in (None, self._before.get(index))
+        return self._work.home.state(index) not in (None, self._before.get(index))
 
     def _claimed(self, left: deque[int]) -> int | None:
         shard, driver = self._work.plan.shard, self._work.driver
@@ -151,7 +168,7 @@ class _Hand:
                 if not begun[of]:
                     left.append(index)  # another job's, which will come
                     continue
-            if self.made(index):
+            if self.made(index) or why_aside(self._work.plan.root, index):
                 continue
             if driver.claim(index):
                 if not self.made(index):
@@ -162,28 +179,25 @@ class _Hand:
         return None
 
 
-def _folder(root: Path, index: int) -> int | None:
-    """Return what tells a scene's folder from any other that has its name before or after; None where there is none."""
-    with contextlib.suppress(OSError):
-        return scene_dir(root, index).stat().st_ino
-    return None
-
-
-def _collect(work: Work, hand: _Hand, pool: ProcessPool, setup: WorkerSetup, most: int) -> dict[int, str]:
+def _collect(work: Work, hand: _Hand, workers: Workers) -> None:
     """Have scenes made, few ahead of the workers; report the views on disk, and finish now and then.
 
     The views of a draw that is thrown away stay counted till they are made anew.
     """
     plan, driver = work.plan, work.driver
-    failures: dict[int, str] = {}
-    waiting: dict[ProcessFuture, int] = {}
-    total, done, finished = len(hand.own) * plan.config.views, 0, time.monotonic()
+    failed: Counter[int] = Counter()
+    aside = 0
+    waiting: dict[Future[object], int] = {}
+    begun = finished = time.monotonic()
+    total, done = len(hand.own) * plan.config.views, 0
+    driver.tells(lambda: state_here(
+        plan.root, begun, workers=workers.count, made=len(work.made), in_work=tuple(waiting.values())
+    ).model_dump_json())  # fmt: skip
     while True:
-        while len(waiting) < most and (index := hand.next()) is not None:
-            args = (setup, index, index in work.there.damaged)
-            waiting[pool.schedule(run_scene, args=args, timeout=_timeout(plan.config))] = index
+        while len(waiting) < AHEAD * workers.count and (index := hand.next()) is not None:
+            waiting[workers.start(index, index in work.there.damaged)] = index
         if not waiting and not hand.own:
-            return failures
+            return
         if waiting:
             over, _ = wait(waiting, timeout=0.2, return_when=FIRST_COMPLETED)
         else:  # all that is left is in others' hands
@@ -191,47 +205,29 @@ def _collect(work: Work, hand: _Hand, pool: ProcessPool, setup: WorkerSetup, mos
             time.sleep(0.5)
         for future in over:
             index = waiting.pop(future)
-            if (reason := _failure(work, index, future)) is not None and not hand.made(index):
-                failures[index] = reason
+            told = workers.told(index, future)
+            if isinstance(told, WorkerReport):
+                work.take(told)
+                take_up(plan.root, index)
+            elif not hand.made(index):
+                _clear(work, f"{index:06d}")
+                failed[index] += 1
+                event("scene failed", scene=index, reason=told.reason, tries=failed[index])
+                if told.again and failed[index] < TRIES:
+                    work.tried_again.append(f"scene {index}: {told.reason}")
+                    hand.own.append(index)
+                else:
+                    set_aside(plan.root, index, told.reason)
+                    aside += 1
             driver.release(index)
         if time.monotonic() - finished > BETWEEN:
-            with locked(plan.root, PATIENCE):
-                finish(plan.root, work.there)
+            with work.home.held():
+                work.home.finish(work.there)
+            event("index written", scenes=len(work.there.sound))
             finished = time.monotonic()
         # Not pathlib's glob, which fails where a folder goes away meanwhile.
         in_work = len(glob.glob(f"work/*-{driver.token}/views/*.exr", root_dir=plan.root))
-        done = max(done, min((len(work.made) + len(failures)) * plan.config.views + in_work, total))
-        note = "rendering" if done else "starting and drawing"
-        work.report(done, total, note + (f" ({len(work.thrown_away)} drawn anew)" if work.thrown_away else ""))
-
-
-def _timeout(config: DatasetConfig) -> float:
-    renders = config.views * (1 + 2 * config.insertable)
-    megasamples = config.width * config.height * config.spp * renders / 1e6
-    return LEAST_TIMEOUT + SECONDS_A_MEGASAMPLE * megasamples
-
-
-def _ended(code: int) -> str:
-    """Say how a process ended; native libraries crash in many ways where memory is refused."""
-    if code >= 0:
-        return f"died with exit code {code}"
-    return f"was ended by {signal.Signals(-code).name}, most often for want of memory: use fewer --workers"
-
-
-def _failure(work: Work, index: int, future: ProcessFuture) -> str | None:
-    """Return why a scene was not made, or None; what stops every scene (a full disk) is raised."""
-    plan = work.plan
-    where = f"seed {plan.config.seed}, log {log_path(plan.root, index)}"
-    try:
-        work.take(future.result())
-    except FutureTimeout:
-        return f"took longer than {_timeout(plan.config):.0f} s and was stopped ({where})"
-    except ProcessExpired as error:
-        return f"the worker {_ended(error.exitcode)} ({where})"
-    except RunStoppedError:
-        raise
-    except UserError as error:
-        return f"{error} ({where})"
-    except Exception as error:
-        return f"{type(error).__name__}: {error} ({where})"
-    return None
+        done = max(done, min((len(work.made) + aside) * plan.config.views + in_work, total))
+        counts = {"drawn anew": len(work.thrown_away), "tried again": len(work.tried_again)}
+        said = ", ".join(f"{count} {what}" for what, count in counts.items() if count)
+        work.report(done, total, ("rendering" if done else "starting and drawing") + f" ({said})" * bool(said))

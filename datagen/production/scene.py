@@ -144,6 +144,7 @@ def make_scene(maker: SceneMaker, index: int, *, replace: bool = True) -> Made:
     for attempt in range(ATTEMPTS):
         try:
             with full_disk_told(maker.root):
+                work.mkdir(parents=True, exist_ok=True)
                 record, faults = _write_scene(
                     maker, Streams(maker.config.seed, index, attempt), work, watch, thrown_away
                 )
@@ -153,7 +154,7 @@ def make_scene(maker: SceneMaker, index: int, *, replace: bool = True) -> Made:
             if not faults:
                 final = scene_dir(maker.root, index)
                 final.parent.mkdir(parents=True, exist_ok=True)
-                for path in work.rglob("*"):
+                for path in (work, *work.rglob("*")):
                     sync(path)
                 if replace:
                     shutil.rmtree(final, ignore_errors=True)
@@ -203,7 +204,6 @@ def _write_scene(
         keep_raw=maker.config.keep_raw,
         scratch=work,
     )
-    work.mkdir(parents=True, exist_ok=True)
     thumbnails, brightnesses = [], []
     lights: tuple[str, ...] = ()
     before: ViewData | None = None

@@ -2,6 +2,7 @@
 
 import atexit
 import contextlib
+import dataclasses
 import os
 import sys
 import threading
@@ -13,14 +14,24 @@ from functools import cache
 from pathlib import Path
 
 from multilight.datagen.backends.choose import open_backend
-from multilight.datagen.backends.protocol import BackendError
+from multilight.datagen.backends.protocol import LARGE, BackendError
 from multilight.datagen.config.dataset import DatasetConfig, RendererName
 from multilight.datagen.errors import RunStoppedError, UserError
 from multilight.datagen.production.library import open_library
+from multilight.datagen.production.remote import Remote, send_scene
 from multilight.datagen.production.scene import Made, SceneMaker, make_scene
 from multilight.datagen.storage.index import Row, index_row
 from multilight.datagen.storage.records import AssetCredit
 from multilight.scenes.assets.cache import tell_thrown_away
+
+SCENES_A_WORKER: dict[RendererName, int] = {"cycles": 25, "mitsuba": 50, "analytic": 1000}
+"""Then a fresh process: a long-lived Blender grows. A fresh one has to read its meshes and textures anew, which is
+little beside a scene of large pictures: of such each has a process to itself."""
+
+
+def scenes_a_worker(renderer: RendererName, config: DatasetConfig) -> int:
+    """Return how many scenes a process makes."""
+    return 1 if config.width * config.height > LARGE else SCENES_A_WORKER[renderer]
 
 
 @dataclass(frozen=True)
@@ -34,6 +45,8 @@ class WorkerSetup:
     threads: int
     parent: int
     token: str
+    address: str = ""
+    """Where finished scenes go, if that is not `root`."""
 
 
 def log_path(root: Path, index: int) -> Path:
@@ -60,7 +73,8 @@ def _maker(setup: WorkerSetup) -> SceneMaker:
 class WorkerReport:
     """What a worker tells of a scene: its row of the index, its credits, why draws were thrown away, seconds a stage.
 
-    `broken` are the broken assets that the worker has met so far (id → reason).
+    `broken` are the broken assets that the worker has met so far (id → reason); `retried` has a word on each request
+    that was tried again to send it.
     """
 
     row: Row
@@ -68,12 +82,28 @@ class WorkerReport:
     thrown_away: tuple[str, ...]
     seconds: dict[str, float]
     broken: dict[str, str]
+    retried: tuple[str, ...] = ()
 
 
 def report_of(made: Made, broken: dict[str, str]) -> WorkerReport:
     """Sum up a finished scene."""
     record = made.record
     return WorkerReport(index_row(record), record.assets, record.thrown_away, made.seconds, broken)
+
+
+@cache
+def _remote(address: str) -> Remote:
+    return Remote(address)
+
+
+def _sent(setup: WorkerSetup, told: WorkerReport, *, replace: bool) -> WorkerReport:
+    """Send a finished scene to where the dataset lies."""
+    remote, begun = _remote(setup.address), time.perf_counter()
+    send_scene(remote, setup.root, told.row, told.credits, replace=replace)
+    seconds = told.seconds | {"send": time.perf_counter() - begun}
+    retried = tuple(remote.retried)
+    remote.retried.clear()
+    return dataclasses.replace(told, seconds=seconds, retried=retried)
 
 
 def run_scene(setup: WorkerSetup, index: int, replace: bool) -> WorkerReport:
@@ -84,6 +114,9 @@ def run_scene(setup: WorkerSetup, index: int, replace: bool) -> WorkerReport:
         try:
             maker = _maker(setup)
             made = make_scene(maker, index, replace=replace)
+            told = report_of(made, maker.library.broken)
+            if setup.address:
+                told = _sent(setup, told, replace=replace)
         except UserError:
             raise
         except BaseException:
@@ -91,7 +124,7 @@ def run_scene(setup: WorkerSetup, index: int, replace: bool) -> WorkerReport:
             raise
     tell_thrown_away()
     path.unlink(missing_ok=True)
-    return report_of(made, maker.library.broken)
+    return told
 
 
 def _die_with(parent: int) -> None:

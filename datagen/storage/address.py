@@ -1,6 +1,7 @@
 """Where a dataset lies, a folder or any address that fsspec opens, and reading from there; nothing is written."""
 
 import contextlib
+import re
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -15,7 +16,7 @@ from multilight.scenes.files.confined import OutsideError, held, inside, plain_n
 
 @dataclass(frozen=True)
 class Place:
-    """A folder or address; every name that is asked for stays inside. `address` is what users gave."""
+    """A folder or address; every name asked for stays inside. `address` is what users gave, without password."""
 
     address: str
     filesystem: AbstractFileSystem = field(repr=False)
@@ -111,13 +112,19 @@ def outside_told(address: str) -> Iterator[None]:
         raise StoreError(f"{address}: {error}; it is not read") from None
 
 
-def find_place(address: str | Path) -> Place:
-    """Find what an address means; raises `UserError` where that cannot be understood."""
+def without_password(address: str | Path) -> str:
+    """Return an address as it may be shown and written down."""
+    return re.sub("(?<=://)[^/@]*@", "", str(address))
+
+
+def find_place(address: str | Path, **options: bool) -> Place:
+    """Find what an address means, with options of fsspec; raises `UserError` where that cannot be understood."""
     text = str(address).rstrip("/") or str(address)
+    shown = without_password(text)
     try:
-        filesystem, root = fsspec.core.url_to_fs(text)
+        filesystem, root = fsspec.core.url_to_fs(text, **options)
     except (ValueError, ImportError) as error:
         raise UserError(
-            f"{text} cannot be opened: {error} (S3 and HTTP need: pip install 'multilight[remote]')"
+            f"{shown} cannot be opened: {error} (S3 and HTTP need: pip install 'multilight[remote]')"
         ) from None
-    return Place(text, filesystem, root)
+    return Place(shown, filesystem, root)

@@ -210,8 +210,11 @@ def spread(scenes: Sequence[int], most: int | None) -> Sequence[int]:
 
 
 def scene_names(place: Place) -> list[int] | None:
-    """List the scenes that have a folder; None where the place cannot list."""
-    names = place.names("scenes")
+    """List the scenes that have a folder, elsewhere than here a record in it; None where the place cannot list."""
+    names: Iterable[str] | None = place.names("scenes")
+    if names and not place.is_local:
+        found = place.files("scenes") or ()
+        names = [name.removesuffix("/scene.json") for name in found if name.endswith("/scene.json")]
     return None if names is None else sorted(n for name in names if (n := scene_number(name)) is not None)
 
 

@@ -204,7 +204,9 @@ class SceneRecord(Schema):
 class DatasetRecord(Schema):
     """What a dataset was made with: `dataset.json`.
 
-    `variant` is Mitsuba's (`llvm_ad_rgb`, say) on the machine that began the dataset, empty for other renderers;
+    `variant` is Mitsuba's (`llvm_ad_rgb`, say) on the machine that began the dataset, empty for other renderers, and
+    `versions` are that machine's, of the kind of processor too; `packs` maps each pack that could be drawn from to a
+    hash of its content (empty for closed forms, and in datasets of version 0.2.0 and before);
     `index_sha256` is the hash of `index.parquet`, `index_more` are those of the index's further blocks
     (`datagen.storage.blocks`), empty for those without rows, and `index_rows` is the number of its scenes: as the last
     call that made scenes left it, empty before. `thrown_away` counts, over all scenes of the index, the draws that
@@ -216,6 +218,7 @@ class DatasetRecord(Schema):
     renderer: RendererName
     variant: str = ""
     versions: dict[str, str]
+    packs: dict[str, str] = Field(default_factory=dict)
     assets: tuple[AssetCredit, ...] = ()
     imports: tuple[ImportAccount, ...] = ()
     background_sha256: str = ""
@@ -223,6 +226,16 @@ class DatasetRecord(Schema):
     index_more: tuple[str, ...] = ()
     index_rows: Annotated[int, Field(ge=0)] = 0
     thrown_away: dict[str, int] = Field(default_factory=dict)
+
+    def other_settings(self, config: DatasetConfig, *, same_background: bool) -> list[str]:
+        """Say in what another configuration makes other scenes: `seed = 7, not 8`; a dataset may grow."""
+        mine, theirs = self.config.model_dump(), config.model_dump()
+        free = {"scenes", "renderer", *(("background",) if same_background else ())}
+        return [
+            f"{key} = {mine[key]!r}, not {theirs[key]!r}"
+            for key in mine
+            if mine[key] != theirs[key] and key not in free
+        ]
 
     def misfit(self, record: SceneRecord) -> str:
         """Say in what a scene's record is not of this dataset, or nothing.

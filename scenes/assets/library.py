@@ -87,6 +87,14 @@ class AssetLibrary:
         """The names of the packs that are used."""
         return tuple(self._packs)
 
+    def contents(self) -> dict[str, str]:
+        """Return, for each pack but the background, what is another where it holds something else."""
+        found = {name: pack.content() for name, pack in self._packs.items()}
+        for name in found.keys() & SOURCES.keys():
+            record = pack_record(name, self.cache)
+            found[name] = record["sha256"] or record["version"]
+        return {name: content for name, content in sorted(found.items()) if content}
+
     @cached_property
     def _infos(self) -> dict[str, AssetInfo]:
         infos = (info for pack in self._packs.values() for info in pack.infos() if not self._hidden(info))

@@ -3,11 +3,12 @@
 import random
 import signal
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
 from multilight.scenes.assets.cache import tell_thrown_away
-from tests.datagen import faults
+from tests.datagen import driver_faults, faults
 from tests.datagen.faults import DAMAGES, DATASET_FILES, Bench, bad
 
 
@@ -52,3 +53,9 @@ def test_the_bench_tells_silence_from_refusal() -> None:
     assert faults.judge_reader(faults.Ran(-1, "Traceback: ValueError\n", {}), good) == "TRACEBACK"
     assert faults.judge_verify(faults.Ran(0, "", {}), quick=True, same_size=False) == "MISSED"
     assert faults.judge_verify(faults.Ran(0, "", {}), quick=False, same_size=True) == "MISSED"
+
+
+def test_drivers_that_are_killed_stopped_and_starved_leave_the_bytes_of_a_run_alone(tmp_path: Path) -> None:
+    bench = driver_faults.disturbed(tmp_path, seed=7, kills=6, scenes=10)
+    assert bench.wrong == []
+    assert bench.done["killed"] >= 6

@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import platform
 import re
 import shutil
 import signal
@@ -292,12 +293,11 @@ def in_one_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make scenes in this process: many repairs, each with workers of its own, would take minutes."""
     library = AssetLibrary()
 
-    def make(work: Work, missing: tuple[int, ...], _: tuple[int, ...]) -> dict[int, str]:
+    def make(work: Work, missing: tuple[int, ...], _: tuple[int, ...]) -> None:
         with AnalyticBackend() as backend:
             maker = SceneMaker(work.plan.config, work.renderer, work.plan.root, library, backend, 1)
             for index in missing:
                 work.take(report_of(make_scene(maker, index), {}))
-        return {}
 
     monkeypatch.setattr("multilight.datagen.production.dataset.run_scenes", make)
 
@@ -426,13 +426,15 @@ def test_other_makers_are_told(spheres_copy: Path, capsys: pytest.CaptureFixture
     """Scenes that are drawn from other packs, or made by other versions, would come out otherwise."""
 
     def by_others(record: Json) -> None:
-        record["versions"]["numpy"] = "0.1"
+        assert record["versions"]["processor"].startswith(platform.machine())
+        record["versions"].update(numpy="0.1", processor="x86_64 avx9")
 
     rewrite_json(spheres_copy / "dataset.json", by_others)
     os.truncate(spheres_copy / S1 / "views/01.exr", 1000)
     assert run("dataset", "--out", spheres_copy) == 0
     error = capsys.readouterr().err
     assert "was made with numpy 0.1, now" in error
+    assert "processor x86_64 avx9, now" in error
     assert "scene 1 is damaged and made anew: views/01.exr is truncated" in error
     rewrite_json(spheres_copy / "dataset.json", lambda record: record.update(assets=[CREDIT]))
     os.truncate(spheres_copy / S1 / "views/01.exr", 1000)

@@ -28,6 +28,7 @@ FOLDERS = (  # what writes a folder
     *(f"export {name} DATA --out" for name in ("usd", "webdataset", "nerfstudio", "colmap", "luxremix", "web")),
     "export dtc-multilight DATA --size 48 --out",
     "import usd STAGE --out",
+    "merge DATA --out",
     "train TRAINING --out",
     f"{EVALUATE} --out",
     "ablate head DATA --splits train --steps 1 --size 32 --out",
@@ -35,9 +36,10 @@ FOLDERS = (  # what writes a folder
 )
 FILES = ("mix DATA --out", "sheet DATA --out", f"{PICTURES} --out")
 READERS = (  # what reads a dataset
-    *("verify", "query", "stats", "view --no-open"),
+    *("status", "verify", "query", "stats", "view --no-open"),
     *("mix --out O.png", "sheet --out O.png", "pack --out O", "evaluate --out O", "ablate head --out O"),
     "export dtc-multilight --out O",
+    "merge --out O",
     *(f"export {name} --out O" for name in ("usd", "webdataset", "nerfstudio", "colmap", "luxremix", "web")),
     "view --no-open",
     "train TRAINING --out O --data",
@@ -102,6 +104,9 @@ MISTAKES = {
     # values that make no sense, alone or together
     "plan --minutes 0": "--minutes 0.0 must be more than 0",
     "plan --config NONE": "configuration file NONE does not exist",
+    "status DATA --out O": "--out goes with --prometheus",
+    "status DATA --json --prometheus": "give one of them",
+    "merge --out O": "--parts: name one or more",
     "study": "name two folders and a page",
     "study DIR NONE --out O.html": "NONE is no folder",
     "study DIR DIR --out O.png": "DIR is named twice",

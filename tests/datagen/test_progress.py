@@ -9,6 +9,7 @@ import pytest
 from multilight.datagen.commands import output
 from multilight.datagen.commands.dataset import summary
 from multilight.datagen.config.dataset import DatasetConfig
+from multilight.datagen.production.crew import limits_for
 from multilight.datagen.production.dataset import Outcome
 from multilight.datagen.production.running import Plan
 from multilight.datagen.text import duration, size
@@ -59,7 +60,7 @@ def test_sizes_in_words(count: int, said: str) -> None:
 
 
 def test_the_last_line_counts_scenes_bytes_and_draws_thrown_away(tmp_path: Path) -> None:
-    plan = Plan(tmp_path, DatasetConfig(), (0, 1, 2, 3), 2)
+    plan = Plan(tmp_path, DatasetConfig(), (0, 1, 2, 3), 2, limits_for(DatasetConfig()))
     reasons = ("contacts: nothing carries glasses", "noise: view 1: too much", "contacts: nothing carries cup")
     outcome = Outcome((0, 1), 1, {3: "no"}, {}, {"render": 3.0, "rest": 1.0}, (), reasons, 6, 6000)
     assert summary(plan, outcome, 65.0) == (

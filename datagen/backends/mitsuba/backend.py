@@ -14,10 +14,10 @@ from multilight.datagen.backends.mitsuba.arrays import Textures, scene_arrays
 from multilight.datagen.backends.mitsuba.bsdf import Tables
 from multilight.datagen.backends.mitsuba.cameras import Lens
 from multilight.datagen.backends.mitsuba.device import on_device
-from multilight.datagen.backends.mitsuba.film import Film, Key, Values
+from multilight.datagen.backends.mitsuba.film import Film, Key, Parts
 from multilight.datagen.backends.mitsuba.geometry import geometry_buffers
-from multilight.datagen.backends.mitsuba.integrator import PathResult, World, trace
-from multilight.datagen.backends.mitsuba.lights import emitters_of
+from multilight.datagen.backends.mitsuba.integrator import PathResult, Planes, World, trace
+from multilight.datagen.backends.mitsuba.lights import Lights
 from multilight.datagen.backends.mitsuba.sampling import Sampler, stream_of
 from multilight.datagen.backends.mitsuba.surfaces import Surfaces, accelerate
 from multilight.datagen.backends.protocol import (
@@ -94,11 +94,10 @@ class MitsubaBackend:
         """Put a scene on the device: whole (None), and without each insertable object."""
         arrays = scene_arrays(scene, rig, self._library, self._textures)
         surfaces = Surfaces(arrays)
-        emitters = emitters_of(rig, arrays, surfaces, self._library)
         bits = np.zeros(len(scene.bodies) + 1, np.uint32)
         for place, name in enumerate(scene.insertable):
             bits[scene.instance_id(name)] = 1 << place
-        seen = on_device(mi.UInt32, bits)
+        seen, lights = on_device(mi.UInt32, bits), Lights(rig, arrays, bits, surfaces, self._library)
         changing = arrays.of_bodies(scene.insertable) | arrays.let_light_through()
         fixed = accelerate(arrays, ~changing)
 
@@ -107,7 +106,7 @@ class MitsubaBackend:
             others = accelerate(arrays, there)
             if fixed is None and others is None:
                 raise BackendError(f"the scene has no triangles without {removed!r}")
-            return World(fixed, others, surfaces, emitters, self._tables, seen)
+            return World(fixed, others, surfaces, lights, self._tables, seen)
 
         return {removed: world(removed) for removed in (None, *scene.insertable)}
 
@@ -181,22 +180,26 @@ class _Batch:
         self._pixel, self._first = on_device(mi.UInt32, blocks.pixel), on_device(mi.UInt32, blocks.first)
         # One seed for all variants of a view.
         self._seed = dr.opaque(mi.UInt32, (synced.seed + number) % 2**32)
-        self._result = self._trace(None, dr.arange(mi.UInt32, len(blocks) * blocks.size))
+        self._planes, self._result = self._trace(None, dr.arange(mi.UInt32, len(blocks) * blocks.size))
 
-    def values(self) -> Iterator[tuple[Key, Values]]:
-        """Give what the samples bring to each variant and mask of an object."""
-        scene, result = self._synced.scene, self._result
-        yield ("all", ""), result.layers
-        yield ("guides", ""), [result.albedo, result.normal]
-        yield ("uncovered", ""), [mi.Color3f(dr.select(result.covered, mi.Float(0), 1))]
+    def values(self) -> Iterator[tuple[Parts, mi.Float]]:
+        """Give what the samples bring to each variant and mask of an object, plane after plane."""
+        scene, result, planes = self._synced.scene, self._result, self._planes
+        layers = planes.count - Planes.GUIDES
+        yield [(("all", ""), layers), (("guides", ""), Planes.GUIDES)], planes.values
+        _, sample, _ = planes.places(3)
+        yield [(("uncovered", ""), 3)], dr.select(dr.gather(mi.Bool, result.covered, sample), mi.Float(0), 1)
         for place, name in enumerate(scene.insertable):
-            mine = result.first == scene.instance_id(name)
-            seen = (result.seen >> place) & 1 != 0
-            yield ("masks", name), [mi.Color3f(dr.select(mine, mi.Float(1), 0), dr.select(seen, mi.Float(1), 0), 0)]
-            yield ("foreground", name), [dr.select(mine, layer, 0) for layer in result.layers]
-            *layers, albedo, normal = self._without(result, name, place)
-            yield ("without", name), layers
-            yield ("guides", name), [albedo, normal]
+            bit, body = dr.opaque(mi.UInt32, 1 << place), dr.opaque(mi.UInt32, scene.instance_id(name))
+            plane, sample, _ = planes.places(3)
+            mine = dr.gather(mi.UInt32, result.first, sample) == body
+            seen = (dr.gather(mi.UInt32, result.seen, sample) & bit) != 0
+            there = (mine & (plane == 0)) | (seen & (plane == 1))
+            yield [(("masks", name), 3)], dr.select(there, mi.Float(1), 0)
+            plane, sample, number = planes.places(layers)
+            mine = dr.gather(mi.UInt32, result.first, sample) == body
+            yield [(("foreground", name), layers)], dr.select(mine, dr.gather(mi.Float, planes.values, number), 0)
+            yield [(("without", name), layers), (("guides", name), Planes.GUIDES)], self._without(name, bit)
 
     def cost(self) -> Float32:
         """Return how often rays were followed for the samples of each of N blocks, in all variants, (N,)."""
@@ -204,23 +207,23 @@ class _Batch:
         steps = mi.Float(result.steps * (1 + dr.popcnt(result.met)))
         return np.array(dr.block_sum(steps, self._size))
 
-    def _without(self, result: PathResult, name: str, place: int) -> list[mi.Color3f]:
-        """Trace again, without an object, the samples that met it; the others are what they were.
-
-        Returns the layers, and the albedo and normal that guide their denoiser.
-        """
-        layers = [mi.Color3f(layer) for layer in (*result.layers, result.albedo, result.normal)]
-        index = dr.compress((result.met >> place) & 1 != 0)
+    def _without(self, name: str, bit: mi.UInt32) -> mi.Float:
+        """Trace again, without an object, the samples that met it; the others are what they were. Returns planes."""
+        planes = self._planes
+        values = dr.copy(planes.values)
+        index = dr.compress((self._result.met & bit) != 0)
         if dr.width(index):
-            again = self._trace(name, index)
-            for layer, new in zip(layers, (*again.layers, again.albedo, again.normal), strict=True):
-                dr.scatter(layer, mi.Color3f(new), index)
+            again, _ = self._trace(name, index)
+            plane, sample, _ = again.places(again.count)
+            dr.scatter(values, again.values, plane * planes.samples + dr.gather(mi.UInt32, index, sample))
         for number, light in enumerate(self._synced.rig.lights):
             if isinstance(light, EmissiveLight) and light.body == name:
-                layers[number] = dr.zeros(mi.Color3f, dr.width(result.met))
-        return layers
+                _, _, place = planes.places(3)
+                dr.scatter(values, mi.Float(0), place + dr.opaque(mi.UInt32, 3 * number) * planes.samples)
+        return values
 
-    def _trace(self, removed: str | None, index: mi.UInt32) -> PathResult:
+    def _trace(self, removed: str | None, index: mi.UInt32) -> tuple[Planes, PathResult]:
+        dr.eval(index)  # even where it only counts: one kernel for all variants
         size, width = dr.opaque(mi.UInt32, self._size), dr.opaque(mi.UInt32, self._width)
         block = index // size
         pixel = dr.gather(mi.UInt32, self._pixel, block)
@@ -230,6 +233,6 @@ class _Batch:
         row = pixel // width
         film = mi.Point2f(mi.Float(pixel - row * width) + inside.x, mi.Float(row) + inside.y)
         ray = self._lens.rays(film, sampler.next_2d(LENS, BEFORE_PATHS))
-        result = trace(self._synced.worlds[removed], ray, sampler, max_bounces=self._settings.max_bounces)
-        dr.eval(result)
-        return result
+        planes, result = trace(self._synced.worlds[removed], ray, sampler, max_bounces=self._settings.max_bounces)
+        dr.eval(planes.values, result)
+        return planes, result

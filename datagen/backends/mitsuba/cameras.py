@@ -16,7 +16,6 @@ class Lens:
         self._columns = [mi.Vector3f(*(opaque(v) for v in pose[:3, i])) for i in range(4)]
         self._fx, self._fy = opaque(camera.fx), opaque(camera.fy)
         self._cx, self._cy = opaque(camera.cx), opaque(camera.cy)
-        self._thin = camera.aperture_radius > 0
         self._aperture, self._focus = opaque(camera.aperture_radius), opaque(camera.focus_distance)
         self.forward = -self._columns[2]
 
@@ -24,9 +23,11 @@ class Lens:
         """Return unit rays through film positions [pixels]; through the lens at u in [0, 1)^2 where it has a size."""
         x, y, z, origin = self._columns
         local = mi.Vector3f((pixel.x - self._cx) / self._fx, -(pixel.y - self._cy) / self._fy, -1)
-        if not self._thin or u is None:
-            return mi.Ray3f(mi.Point3f(origin), dr.normalize(x * local.x + y * local.y + z * local.z))
-        on_lens = mi.warp.square_to_uniform_disk_concentric(u) * self._aperture
-        aim = local * self._focus - mi.Vector3f(on_lens.x, on_lens.y, 0)
-        start = origin + x * on_lens.x + y * on_lens.y
-        return mi.Ray3f(mi.Point3f(start), dr.normalize(x * aim.x + y * aim.y + z * aim.z))
+        o, d = mi.Point3f(origin), x * local.x + y * local.y + z * local.z
+        if u is not None:
+            on_lens = mi.warp.square_to_uniform_disk_concentric(u) * self._aperture
+            aim = local * self._focus - mi.Vector3f(on_lens.x, on_lens.y, 0)
+            thin = self._aperture > 0
+            o = dr.select(thin, mi.Point3f(origin + x * on_lens.x + y * on_lens.y), o)
+            d = dr.select(thin, x * aim.x + y * aim.y + z * aim.z, d)
+        return mi.Ray3f(o, dr.normalize(d))

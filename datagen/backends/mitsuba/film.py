@@ -1,6 +1,6 @@
 """The film: sums over samples, pixel by pixel, of which each may have another number."""
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 
 import drjit as dr
@@ -15,8 +15,8 @@ from multilight.scenes.arrays import Float32, Int64
 
 Key = tuple[str, str]
 """A variant or a mask, and the object that it is of."""
-Values = list[mi.Color3f] | list[mi.Normal3f]
-"""What samples bring, one lane each."""
+Parts = Sequence[tuple[Key, int]]
+"""Whose planes lie one after the other, and how many each has."""
 
 
 class Film:
@@ -36,28 +36,35 @@ class Film:
     def __contains__(self, key: Key) -> bool:
         return key in self._sums
 
-    def add(self, blocks: Blocks, values: Iterable[tuple[Key, Values]], *, squares: Collection[Key] = ()) -> None:
-        """Add the samples of some blocks; of what is named in `squares`, `variance` can be asked for then."""
+    def add(self, blocks: Blocks, values: Iterable[tuple[Parts, mi.Float]], *, squares: Collection[Key] = ()) -> None:
+        """Add the samples of some blocks, given plane after plane; of what is named in `squares`, `variance` can be
+        asked for then."""
         pixels = slice(int(blocks.pixel[0]), int(blocks.pixel[-1]) + 1)
         counts = np.bincount(blocks.pixel - blocks.pixel[0])
         self._samples[pixels] += counts * blocks.size
         count = on_device(mi.UInt32, counts.astype(np.uint32))
         first = on_device(mi.UInt32, (np.cumsum(counts) - counts).astype(np.uint32))
 
-        def add(known: dict[Key, Float32], key: Key, sums: list[mi.Float]) -> None:
-            if key not in known:
-                known[key] = self._zeros((len(sums), self._samples.size))
-            totals = known[key]
-            before = [on_device(mi.Float, channel[pixels]) for channel in totals]
-            for channel, total in zip(totals, _added(before, sums, first, count), strict=True):
-                if (found := np.array(total)).any():
-                    channel[pixels] = found
+        def known(sums: dict[Key, Float32], parts: Parts) -> list[Float32]:
+            for key, planes in parts:
+                if key not in sums:
+                    sums[key] = self._zeros((planes, self._samples.size))
+            return [plane for key, _ in parts for plane in sums[key]]
 
-        for key, several in values:
-            sums = [dr.block_sum(channel, blocks.size) for value in several for channel in value]
-            add(self._sums, key, sums)
-            if key in squares:
-                add(self._squares, key, [sum(dr.square(channel) for channel in sums)])
+        def add(planes: list[Float32], sums: mi.Float) -> None:
+            before = on_device(mi.Float, np.stack([plane[pixels] for plane in planes]))
+            for plane, found in zip(planes, _added(before, sums, first, count, len(blocks)), strict=True):
+                if found.any():
+                    plane[pixels] = found
+
+        for parts, several in values:
+            sums = dr.block_sum(several, blocks.size)
+            add(known(self._sums, parts), sums)
+            start = 0
+            for key, planes in parts:
+                if key in squares:
+                    add(known(self._squares, [(key, 1)]), _squared(sums, start, planes, len(blocks)))
+                start += planes
         self._rest()
 
     def _rest(self) -> None:
@@ -88,20 +95,37 @@ class Film:
 
         Both are summed over layers and channels. `blocks` is the number of blocks that each pixel has had.
         """
-        sums = [on_device(mi.Float, channel) for channel in self._sums[key]]
-        squares = on_device(mi.Float, self._squares[key][0])
+        total, squared = np.zeros((2, *self._shape), np.float32)
+        for plane in self._sums[key]:
+            total += plane.reshape(self._shape)
+            squared += np.square(plane).reshape(self._shape)
         self._rest()
-        spread = dr.maximum(squares - sum(dr.square(channel) for channel in sums) / blocks, 0) / (blocks - 1)
-        return np.array(sum(sums) / blocks).reshape(self._shape), np.array(spread).reshape(self._shape)
+        squares = self._squares[key][0].reshape(self._shape)
+        return total / blocks, np.maximum(squares - squared / blocks, 0) / (blocks - 1)
 
 
-def _added(before: list[mi.Float], sums: list[mi.Float], first: mi.UInt32, count: mi.UInt32) -> list[mi.Float]:
-    """Add to each pixel the sums of its blocks, which are `count` from the `first` on."""
+def _added(before: mi.Float, sums: mi.Float, first: mi.UInt32, count: mi.UInt32, blocks: int) -> Float32:
+    """Add to each pixel of each plane the sums of its blocks, which are `count` from the `first` on; (n, P)."""
+    pixels, blocks = dr.opaque(mi.UInt32, dr.width(first)), dr.opaque(mi.UInt32, blocks)
+    index = dr.arange(mi.UInt32, dr.width(before))
+    plane = index // pixels
+    pixel = index - plane * pixels
+    start, end = plane * blocks + dr.gather(mi.UInt32, first, pixel), dr.gather(mi.UInt32, count, pixel)
 
-    def step(totals, place):  # type: ignore[no-untyped-def]
-        more = (dr.gather(mi.Float, channel, first + place) for channel in sums)
-        return [total + one for total, one in zip(totals, more, strict=True)], place + 1
+    def step(total, place):  # type: ignore[no-untyped-def]
+        return total + dr.gather(mi.Float, sums, start + place), place + 1
 
-    totals, _ = dr.while_loop((before, mi.UInt32(0)), lambda _, place: place < count, step, label="film")
-    dr.eval(totals)
-    return totals
+    total, _ = dr.while_loop((before, mi.UInt32(0)), lambda _, place: place < end, step, label="film")
+    return np.array(total).reshape(-1, dr.width(first))
+
+
+def _squared(sums: mi.Float, start: int, planes: int, blocks: int) -> mi.Float:
+    """Return the squares of each block's sums in some planes, added up."""
+    width, end = dr.opaque(mi.UInt32, blocks), dr.opaque(mi.UInt32, start + planes)
+    block = dr.arange(mi.UInt32, blocks)
+
+    def step(total, plane):  # type: ignore[no-untyped-def]
+        return total + dr.square(dr.gather(mi.Float, sums, plane * width + block)), plane + 1
+
+    state = mi.Float(0), dr.opaque(mi.UInt32, start)
+    return dr.while_loop(state, lambda _, plane: plane < end, step, label="squares")[0]

@@ -11,7 +11,8 @@ import drjit as dr
 import mitsuba as mi
 
 from multilight.datagen.backends.mitsuba import bsdf
-from multilight.datagen.backends.mitsuba.lights import AnyEmitter, Environment, Glow, Sample
+from multilight.datagen.backends.mitsuba.arrays import NONE
+from multilight.datagen.backends.mitsuba.lights import Lights, Meeting, Sample, glow_density
 from multilight.datagen.backends.mitsuba.sampling import Sampler
 from multilight.datagen.backends.mitsuba.surfaces import Hit, Surfaces, TriangleSet
 
@@ -46,7 +47,7 @@ class World:
     fixed: TriangleSet | None
     changing: TriangleSet | None
     surfaces: Surfaces
-    emitters: list[AnyEmitter]
+    lights: Lights
     tables: bsdf.Tables
     bits: mi.UInt32
     """By body number: the bit of a removable body, else 0."""
@@ -68,20 +69,49 @@ class World:
 
 @dataclass
 class PathResult:
-    """What one sample brings: a colour for each light, the removable bodies it met, and what it saw first."""
+    """Which removable bodies one sample met, and what it saw first."""
 
-    layers: list[mi.Color3f]
     met: mi.UInt32
     first: mi.UInt32
     """The body seen first, 0 where there was none."""
     covered: mi.Bool
     """Some surface was there, see-through or not."""
-    albedo: mi.Color3f
-    normal: mi.Normal3f
     steps: mi.UInt32
     """How often a ray was followed."""
     seen: mi.UInt32
     """Of the removable bodies that were met, those that the path saw: straight, in mirrors or through glass."""
+
+
+class Planes:
+    """What samples bring, plane after plane, a number for each sample: three planes for each light's colour, then three
+    for the albedo and three for the normal of what they saw first."""
+
+    GUIDES = 6
+
+    def __init__(self, lights: int, samples: int) -> None:
+        self.count = 3 * lights + self.GUIDES
+        self._width = samples
+        self.samples = dr.opaque(mi.UInt32, samples)
+        self.values = dr.zeros(mi.Float, self.count * samples)
+        self._sample = dr.arange(mi.UInt32, samples)
+        self._guides = dr.opaque(mi.UInt32, 3 * lights)
+
+    def places(self, planes: int) -> tuple[mi.UInt32, mi.UInt32, mi.UInt32]:
+        """Return plane, sample and place in `values` of all numbers of the first so many planes."""
+        place = dr.arange(mi.UInt32, planes * self._width)
+        plane = place // self.samples
+        return plane, place - plane * self.samples, place
+
+    def add(self, light: mi.UInt32, colour: mi.Color3f, active: mi.Bool) -> None:
+        """Add to a light's colour."""
+        for channel in range(3):
+            place = (light * 3 + channel) * self.samples + self._sample
+            dr.scatter_add(self.values, colour[channel], place, active, mode=dr.ReduceMode.NoConflicts)
+
+    def see(self, albedo: mi.Color3f, normal: mi.Normal3f, active: mi.Bool) -> None:
+        """Set the guides."""
+        for channel, value in enumerate((*albedo, *normal)):
+            dr.scatter(self.values, value, (self._guides + channel) * self.samples + self._sample, active)
 
 
 @dataclass
@@ -162,11 +192,12 @@ def _dimmed(world: World, changing: TriangleSet, ray: mi.Ray3f, active: mi.Bool)
     return state[3], state[4]
 
 
-def trace(world: World, ray: mi.Ray3f, sampler: Sampler, *, max_bounces: int) -> PathResult:
+def trace(world: World, ray: mi.Ray3f, sampler: Sampler, *, max_bounces: int) -> tuple[Planes, PathResult]:
     """Trace one path a lane; radiance is that of its first point, as seen along the ray.
 
     Lights but the environment and glowing bodies are invisible to the ray itself, and block nothing.
     """
+    planes = Planes(world.lights.count, dr.width(ray))
     state = PathState(
         active=mi.Bool(True),
         o=mi.Point3f(ray.o),
@@ -180,26 +211,23 @@ def trace(world: World, ray: mi.Ray3f, sampler: Sampler, *, max_bounces: int) ->
         origin=mi.Point3f(ray.o),
         sampler=sampler,
         result=PathResult(
-            layers=[mi.Color3f(0) for _ in world.emitters],
             met=mi.UInt32(0),
             first=mi.UInt32(0),
             covered=mi.Bool(False),
-            albedo=mi.Color3f(0),
-            normal=mi.Normal3f(0),
             steps=mi.UInt32(0),
             seen=mi.UInt32(0),
         ),
     )
 
     def step(path: PathState) -> tuple[PathState]:
-        _vertex(world, path, max_bounces)
+        _vertex(world, planes, path, max_bounces)
         return (path,)
 
     (state,) = dr.while_loop((state,), lambda path: path.active, step, label="paths")
-    return state.result
+    return planes, state.result
 
 
-def _vertex(world: World, path: PathState, max_bounces: int) -> None:
+def _vertex(world: World, planes: Planes, path: PathState, max_bounces: int) -> None:
     """Follow the ray to what it meets, credit the light found there, and go on from there, or end."""
     depth, result = path.depth, path.result
     ray = mi.Ray3f(path.o, path.d)
@@ -218,15 +246,14 @@ def _vertex(world: World, path: PathState, max_bounces: int) -> None:
     seen = first & solid
     result.first = dr.select(seen, hit.body, result.first)
     result.covered |= first & found
-    result.albedo = dr.select(seen, hit.base, result.albedo)
-    result.normal = dr.select(seen, hit.ns, result.normal)
-    _emission(world, path, hit, distance, solid, found)
+    planes.see(hit.base, hit.ns, seen)
+    _emission(world, planes, path, hit, distance, solid, found)
     on = solid & (depth <= max_bounces)
     frame = mi.Frame3f(hit.ns)
     least = 4 if FILTER_GLOSSY == 0 else path.least_pdf / FILTER_GLOSSY
     blur = dr.select(least < 1, dr.sqrt(dr.maximum(1 - least, 0)) * 0.5, 0)
     c = bsdf.closure(world.tables, hit, frame.to_local(-path.d), blur, glass=world.surfaces.glass)
-    _direct(world, path, hit, c, frame, on)
+    _direct(world, planes, path, hit, c, frame, on)
     _bounce(path, hit, c, frame, on)
     if world.surfaces.see_through:
         passing = found & ~solid & (path.passes < SEE_THROUGH_SURFACES)
@@ -236,42 +263,62 @@ def _vertex(world: World, path: PathState, max_bounces: int) -> None:
         path.active |= passing
 
 
-def _emission(world: World, path: PathState, hit: Hit, distance: mi.Float, solid: mi.Bool, found: mi.Bool) -> None:
-    """Credit what the ray itself meets: the environment, glowing surfaces and, after a bounce, lamps.
+def _emission(
+    world: World, planes: Planes, path: PathState, hit: Hit, distance: mi.Float, solid: mi.Bool, found: mi.Bool
+) -> None:
+    """Credit what the ray itself meets: environments, a glowing surface and, after a bounce, lamps.
 
     `solid`: whether there is an opaque surface; `found`: whether there is any.
     """
-    first = path.depth == 0
-    for number, light in enumerate(world.emitters):
-        if light.delta:
-            continue
-        if isinstance(light, Glow):
-            there = solid & (hit.glow == number)
-            pdf = light.density(dr.dot(hit.ng, path.d), dr.norm(hit.p - path.origin))
-            radiance = light.radiance() * world.surfaces.glow_texture(hit, there)
-        else:
-            meets, radiance, pdf = light.met(path.origin, path.d)
-            there = path.active & (~found if light.distant else (meets > path.travelled) & (meets < distance))
-            if not isinstance(light, Environment):
-                there &= ~first
+    lights, first = world.lights, path.depth == 0
+
+    def credit(number: mi.UInt32, radiance: mi.Color3f, pdf: mi.Float, there: mi.Bool) -> None:
         weight = dr.select(first, 1, _weight(path.pdf, pdf))
-        path.result.layers[number] += dr.select(there, path.throughput * radiance * weight, 0)
+        planes.add(number, path.throughput * radiance * weight, there)
+
+    for sky in lights.environments:
+        beyond = sky.met(path.d)
+        credit(sky.number, beyond.radiance, beyond.pdf, path.active & ~found)
+    glows = solid & (hit.glow != NONE)
+
+    def shining(_: Meeting) -> Meeting:
+        row = lights.row(hit.glow, glows)
+        pdf = glow_density(row, dr.dot(hit.ng, path.d), dr.norm(hit.p - path.origin))
+        return Meeting(mi.Float(0), mi.Color3f(row["colour"]) * world.surfaces.glow_texture(hit, glows), pdf)
+
+    nothing = Meeting(mi.Float(0), mi.Color3f(0), mi.Float(0))
+    glow = dr.if_stmt((nothing,), glows, shining, lambda nothing: nothing)
+    credit(hit.glow, glow.radiance, glow.pdf, glows)
+    bounced = path.active & ~first
+
+    def step(place: mi.UInt32) -> tuple[mi.UInt32]:
+        number = lights.lamp(place, bounced)
+        lamp = lights.met(number, path.origin, path.d, bounced)
+        nearer = (lamp.distance > path.travelled) & (lamp.distance < distance)
+        credit(number, lamp.radiance, lamp.pdf, bounced & (lamp.pdf > 0) & nearer)
+        return (place + 1,)
+
+    dr.while_loop((mi.UInt32(0),), lambda place: bounced & (place < lights.lamps), step, label="lamps")
 
 
-def _direct(world: World, path: PathState, hit: Hit, c: bsdf.Closure, frame: mi.Frame3f, on: mi.Bool) -> None:
+def _direct(
+    world: World, planes: Planes, path: PathState, hit: Hit, c: bsdf.Closure, frame: mi.Frame3f, on: mi.Bool
+) -> None:
     """Sample every light."""
-    result = path.result
-    for number, light in enumerate(world.emitters):
-        found = light.sample(hit.p, path.sampler.next_2d(LIGHT + number, path.depth))
+
+    def step(number: mi.UInt32, met: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32]:
+        row = world.lights.row(number, on)
+        found = world.lights.sample(number, hit.p, path.sampler.next_2d(number + LIGHT, path.depth), on)
         value, pdf = bsdf.evaluate(c, frame.to_local(found.d))
-        weight = mi.Float(1) if light.delta else _weight(found.pdf, pdf)
+        weight = dr.select(row["delta"] != 0, 1, _weight(found.pdf, pdf))
         light_in = path.throughput * value * found.weight * weight
-        usable, passed, met = _arriving(world, hit, found, light_in, on)
-        if isinstance(light, Glow):
-            # A glowing body that shades itself: without it this light is gone, and nothing else has changed.
-            met &= ~dr.gather(mi.UInt32, world.bits, light.body)
-        result.met |= dr.select(usable, met, 0)
-        result.layers[number] += dr.select(usable, light_in * passed, 0)
+        usable, passed, stopping = _arriving(world, hit, found, light_in, on)
+        planes.add(number, light_in * passed, usable)
+        # A glowing body that shades itself: without it this light is gone, and nothing else has changed.
+        return number + 1, met | dr.select(usable, stopping & ~row["own"], 0)
+
+    state = mi.UInt32(0), mi.UInt32(path.result.met)
+    _, path.result.met = dr.while_loop(state, lambda number, _: on & (number < world.lights.end), step, label="lights")
 
 
 def _arriving(

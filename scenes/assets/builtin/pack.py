@@ -185,6 +185,10 @@ class BuiltinPack(Pack):
         above = [_info(name, "environment", "sky", place=name) for name in skies.SKIES]
         return models + _texture_infos() + above + bpy_environments()
 
+    def content(self) -> str:
+        """Hash the code that makes it."""
+        return f"{self._model_key}{self._texture_key}{self._sky_key}"
+
     def mesh_key(self, name: str) -> str:
         """Hash the recipes' source."""
         return self._model_key

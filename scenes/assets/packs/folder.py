@@ -6,6 +6,7 @@ a table all under the folder is used: models, `.exr` and `.hdr` panoramas, and s
 """
 
 import csv
+import hashlib
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -149,6 +150,12 @@ class FolderPack(Pack):
             write_json(path, [round(float(v), 5) for v in high - low])
 
         return kept(index, lambda path: _SIZE.validate_json(path.read_bytes()), write)
+
+    def content(self) -> str:
+        """Hash names and contents of all files."""
+        files = [self._only] if self._only is not None else (path for path, _ in _files(self._folder))
+        lines = sorted(f"{path.relative_to(self._folder)} {file_digest(path)}" for path in files)
+        return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
     def mesh_key(self, name: str) -> str:
         """Hash the code, the content of the file and of what it refers to, and how it is to be placed."""

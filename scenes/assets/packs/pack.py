@@ -21,6 +21,10 @@ class Pack(ABC):
     def infos(self) -> Sequence[AssetInfo]:
         """List the pack's assets; quick, opens no model."""
 
+    def content(self) -> str:
+        """Hash all that it holds; "" where that is known otherwise (fetched packs, the background)."""
+        return ""
+
     def mesh_key(self, name: str) -> str:
         """Hash what a model's conversion depends on (file and code), quickly."""
         raise AssetError(f"{self.name}/{name} is not a model")

@@ -75,7 +75,7 @@ def test_film_adds_up_each_pixels_blocks() -> None:
     for size, counts in ((2, np.full(12, 4)), (2, rng.integers(0, 4, 12)), (5, rng.integers(0, 3, 12))):
         blocks = blocks_of(counts, size)
         values = rng.random((3, len(blocks) * size)).astype(np.float32)
-        film.add(blocks, iter([(("all", ""), [mi.Color3f(values)])]))
+        film.add(blocks, iter([([(("all", ""), 3)], mi.Float(values.ravel()))]))
         pixel = np.repeat(blocks.pixel, size)
         np.add.at(total, pixel, values.T)
         samples += np.bincount(pixel, minlength=12)
@@ -153,7 +153,7 @@ def test_film_tells_the_variance_of_blocks_in_every_channel() -> None:
     sums = rng.random((3, 12, FIRST)).astype(np.float32)
     sums[2] = 3 - sums[0] - sums[1]
     film, key = Film(3, 4), ("all", "")
-    film.add(blocks_of(np.full(12, FIRST), 1), [(key, [mi.Color3f(sums.reshape(3, -1))])], squares=[key])
+    film.add(blocks_of(np.full(12, FIRST), 1), [([(key, 3)], mi.Float(sums.ravel()))], squares=[key])
     mean, variance = film.variance(key, FIRST)
     np.testing.assert_allclose(mean, np.full((3, 4), 3.0), rtol=1e-5)
     np.testing.assert_allclose(variance.ravel(), sums.var(axis=-1, ddof=1).sum(axis=0), rtol=1e-4)

@@ -41,8 +41,8 @@ from multilight.datagen.backends.mitsuba.arrays import SceneArrays, Textures, sc
 from multilight.datagen.backends.mitsuba.backend import _Batch
 from multilight.datagen.backends.mitsuba.bsdf import Tables
 from multilight.datagen.backends.mitsuba.cameras import Lens
-from multilight.datagen.backends.mitsuba.integrator import World, trace
-from multilight.datagen.backends.mitsuba.lights import Sample, emitters_of
+from multilight.datagen.backends.mitsuba.integrator import Planes, World, trace
+from multilight.datagen.backends.mitsuba.lights import Lights
 from multilight.datagen.backends.mitsuba.surfaces import Surfaces, accelerate
 
 WHITE = (1.0, 1.0, 1.0)
@@ -153,10 +153,11 @@ def _ours(lights: tuple[Light, ...], library: AssetLibrary) -> World:
     arrays = scene_arrays(scene, LightRig(lights=lights), library, Textures(library))
     arrays = _with_blocks(arrays)
     surfaces = Surfaces(arrays)
-    emitters = emitters_of(LightRig(lights=lights), arrays, surfaces, library)
+    bits = np.zeros(4, np.uint32)
+    rig = Lights(LightRig(lights=lights), arrays, bits, surfaces, library)
     whole = accelerate(arrays, arrays.of_bodies(arrays.spans))
     assert whole is not None
-    return World(whole, None, surfaces, emitters, Tables(), mi.UInt32([0] * 4))
+    return World(whole, None, surfaces, rig, Tables(), mi.UInt32(bits))
 
 
 def _with_blocks(arrays: SceneArrays) -> SceneArrays:
@@ -223,25 +224,21 @@ def _sampler() -> mi.Sampler:
 WEIGHT = integrator._weight
 
 
-def _direct_one(world: World, path: Any, hit: Any, c: Any, frame: mi.Frame3f, on: mi.Bool) -> None:
+def _direct_one(world: World, planes: Planes, path: Any, hit: Any, c: Any, frame: mi.Frame3f, on: mi.Bool) -> None:
     """Sample one of the lights, each with the same chance."""
-    result, count = path.result, len(world.emitters)
+    result, count = path.result, world.lights.count
     u = path.sampler.next_2d(integrator.LIGHT, path.depth)
     scaled = u.x * count
     chosen = dr.minimum(mi.UInt32(scaled), count - 1)
     u = mi.Point2f(scaled - mi.Float(chosen), u.y)
-    found = Sample(mi.Vector3f(0, 0, 1), mi.Float(0), mi.Color3f(0), mi.Float(0))
-    delta = mi.Bool(False)
-    for number, light in enumerate(world.emitters):
-        found = dr.select(chosen == number, light.sample(hit.p, u), found)
-        delta |= (chosen == number) & light.delta
+    found = world.lights.sample(chosen, hit.p, u, on)
+    delta = world.lights.row(chosen, on)["delta"] != 0
     value, pdf = bsdf.evaluate(c, frame.to_local(found.d))
     weight = dr.select(delta, 1, WEIGHT(found.pdf / count, pdf)) * count
     light_in = path.throughput * value * found.weight * weight
     usable, passed, met = integrator._arriving(world, hit, found, light_in, on)
     result.met |= dr.select(usable, met, 0)
-    for number in range(count):
-        result.layers[number] += dr.select(usable & (chosen == number), light_in * passed, 0)
+    planes.add(chosen, light_in * passed, usable)
 
 
 # Glowing bodies shine on both sides: points on the far side, within a ray's tolerance of an edge, count with us.
@@ -258,10 +255,10 @@ def test_layers_sum_to_the_builtin_path_integrator_path_by_path(
     sampler: Any = Sequential(_sampler())
     monkeypatch.setattr(integrator, "_direct", _direct_one)
     monkeypatch.setattr(integrator, "_weight", lambda met, sampled: WEIGHT(met, sampled / len(order)))
-    result = trace(world, _rays(), sampler, max_bounces=5)
+    planes, _ = trace(world, _rays(), sampler, max_bounces=5)
     path = mi.load_dict({"type": "path", "max_depth": 7, "rr_depth": 3})
     expected = np.array(path.sample(builtin, _sampler(), mi.RayDifferential3f(_rays()))[0])
-    total = np.array(sum(result.layers[1:], result.layers[0]))
+    total = np.array(planes.values).reshape(-1, 3, COUNT)[: len(order)].sum(axis=0)
     assert expected.mean() > 0.1
     off = np.abs(total - expected).max(axis=0) / expected.mean()
     assert np.mean(off > 1e-4) < share
@@ -443,7 +440,7 @@ def test_only_paths_that_met_a_glowing_object_are_traced_again(backend: MitsubaB
     camera = scene.cameras[0]
     assert backend.synced is not None
     batch = _Batch(backend.synced, Lens(camera), settings, 0, first_blocks(camera.width * camera.height, 4))
-    result = batch._trace(None, dr.arange(mi.UInt32, camera.width * camera.height * 4))
+    _, result = batch._trace(None, dr.arange(mi.UInt32, camera.width * camera.height * 4))
     lit = np.array(result.first) > 0
     assert 0 < np.mean(np.array(result.met)[lit] != 0) < 0.25
 
@@ -472,11 +469,12 @@ def test_composite_with_one_lighting_is_the_target_at_edges(backend: MitsubaBack
 # --- compiled once ---
 
 
-def test_another_scene_with_the_same_kinds_of_light_compiles_nothing(backend: MitsubaBackend) -> None:
+def test_another_scene_under_other_lights_compiles_nothing(backend: MitsubaBackend) -> None:
     first = calibration_job(SURFACES["plastic"], (LIGHTS["sun"], LIGHTS["bulb"]), 4)
     backend.render(first)
     moved = LIGHTS["bulb"].model_copy(update={"position": (0.3, -0.7, 1.1)})
-    other = calibration_job(SURFACES["textured"], (LIGHTS["sun"], moved), 4)
+    lights = (LIGHTS["rectangle"], moved, LIGHTS["spot"], LIGHTS["disk"], LIGHTS["sun"])
+    other = calibration_job(SURFACES["textured"], lights, 4)
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
         dr.kernel_history_clear()
         backend.render(other)

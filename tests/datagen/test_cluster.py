@@ -1,0 +1,73 @@
+"""Scenes made by a real Ray cluster of several nodes on this machine, on loopback, of which one is killed meanwhile."""
+
+import shutil
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from multilight.datagen.cli import main
+from multilight.datagen.errors import RunStoppedError
+from multilight.datagen.production.crew import Limits
+from multilight.datagen.production.worker import WorkerSetup
+from multilight.datagen.storage.store import read_dataset, scene_indices
+from tests.datagen.test_drivers import SETTINGS, contents, start
+
+pytest.importorskip("ray")
+NODE = {"num_cpus": 1, "object_store_memory": 80 << 20, "include_dashboard": False}
+
+NOTICED_SOON = {"health_check_initial_delay_ms": 0, "health_check_period_ms": 200, "health_check_failure_threshold": 5}
+
+
+@pytest.fixture
+def cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """A head that makes nothing itself."""
+    from ray.cluster_utils import Cluster
+
+    # Ray's own switch for clusters that do not leave loopback.
+    monkeypatch.setenv("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")
+    monkeypatch.setattr("ray._private.ray_constants.ENABLE_RAY_CLUSTER", False)
+    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+    cluster = Cluster(initialize_head=True, head_node_args=NODE | {"num_cpus": 0, "_system_config": NOTICED_SOON})
+    files = cluster.head_node.get_session_dir_path()
+    yield cluster
+    cluster.shutdown()
+    shutil.rmtree(files)
+
+
+@pytest.mark.slow
+def test_a_cluster_that_loses_a_node_and_gains_one_leaves_the_bytes_of_a_single_run(
+    cluster: Any, tmp_path: Path
+) -> None:
+    root, words = tmp_path / "set", ("--scenes", "8", "--views", "4")
+    lost, _ = cluster.add_node(**NODE), cluster.add_node(**NODE)
+    run = start(root, *words, "--executor", "ray", "--address", cluster.address)
+    alone = ["dataset", "--out", str(tmp_path / "alone"), *SETTINGS, *words]
+    while len(scene_indices(root)) < 3 or len(list((root / "work").iterdir())) < 2:
+        assert run.poll() is None, run.communicate()
+        time.sleep(0.02)
+    cluster.remove_node(lost, allow_graceful=False)
+    cluster.add_node(**NODE)
+    assert main(alone) == 0
+    said, told = run.communicate(timeout=120)
+    assert run.returncode == 0, told
+    assert "all 8 scenes ok: 8 made" in said
+    assert contents(root) == contents(tmp_path / "alone")
+
+
+def test_what_cannot_be_is_told(
+    spheres_copy: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("RAY_ADDRESS", "")
+    words = ["dataset", "--out", str(spheres_copy), "--scenes", "3", "--executor", "ray"]
+    for address in ("127.0.0.1:1", "nonsense"):
+        assert main([*words, "--address", address]) == 1
+        assert f"error: no Ray cluster at {address} (" in capsys.readouterr().err
+    from multilight.datagen.production.cluster import make_on_node
+
+    setup = WorkerSetup(read_dataset(spheres_copy).config, "analytic", spheres_copy, (), 1, 0, "token")
+    told = make_on_node(setup, Limits(1), 0, False)
+    assert isinstance(told, RunStoppedError)
+    assert "all nodes need that folder" in str(told)
