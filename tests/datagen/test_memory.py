@@ -7,7 +7,7 @@ import pytest
 from multilight.datagen.config.dataset import DatasetConfig
 from multilight.datagen.production import memory
 
-TAKEN = {128: 0.75, 256: 0.89, 512: 1.39, 1024: 1.49, 2048: 3.16}
+TAKEN = {128: 0.75, 256: 0.99, 512: 1.43, 1024: 1.49, 2048: 3.16}
 """Gigabytes that a process took for its first view, a tabletop of four lights, by the side of the picture."""
 KEPT = {10: 1.56, 20: 1.97, 50: 2.34}
 """Gigabytes that a worker had after so many scenes of 48 x 48 pixels."""
