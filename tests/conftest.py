@@ -1,5 +1,6 @@
 """Shared fixtures: a small closed-form dataset that needs no renderer."""
 
+import contextlib
 import ctypes
 import gc
 import os
@@ -17,6 +18,7 @@ from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.store import ViewData, read_scene, read_view, scene_dir
 from multilight.scenes.assets import mesh_memory
 from tests.browsing import launched
+from tests.ray_nodes import RayNodes
 
 if TYPE_CHECKING:
     from multilight.model.captures.capture import Capture
@@ -113,23 +115,13 @@ def capture(capture_folders: dict[str, Path]) -> "Capture":
     return read_capture(capture_folders["nerfstudio"])
 
 
-RAY_NODE: dict[str, Any] = {"num_cpus": 1, "object_store_memory": 80 << 20, "include_dashboard": False}
-
-NOTICED_SOON = {"health_check_initial_delay_ms": 0, "health_check_period_ms": 200, "health_check_failure_threshold": 5}
-
-
 @pytest.fixture
-def ray_cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+def ray_nodes(monkeypatch: pytest.MonkeyPatch) -> Iterator[RayNodes]:
     """A Ray cluster on loopback, so far of a head that makes nothing itself."""
     pytest.importorskip("ray")
-    from ray.cluster_utils import Cluster
-
-    # Ray's own switch for clusters that do not leave loopback.
+    # Ray's own switch for clusters that do not leave loopback, for all who join it.
     monkeypatch.setenv("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")
     monkeypatch.setattr("ray._private.ray_constants.ENABLE_RAY_CLUSTER", False)
     monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
-    cluster = Cluster(initialize_head=True, head_node_args=RAY_NODE | {"num_cpus": 0, "_system_config": NOTICED_SOON})
-    files = cluster.head_node.get_session_dir_path()
-    yield cluster
-    cluster.shutdown()
-    shutil.rmtree(files)
+    with contextlib.closing(RayNodes()) as nodes:
+        yield nodes

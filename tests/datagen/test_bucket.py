@@ -12,7 +12,6 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 from urllib.parse import unquote
 
 import fsspec
@@ -23,8 +22,8 @@ from multilight.datagen.cli import main
 from multilight.datagen.errors import RunStoppedError
 from multilight.datagen.production import drivers, remote
 from multilight.datagen.storage.address import find_place
-from tests.conftest import RAY_NODE
 from tests.datagen.servers import Fault, FaultyBucket, faulty_bucket
+from tests.ray_nodes import RayNodes
 
 SCENES = 6
 SETTINGS = ["--renderer", "analytic", "--kind", "spheres", "--width", "32", "--height", "32"]
@@ -213,11 +212,11 @@ def test_scenes_that_are_set_aside(
 
 @pytest.mark.slow
 def test_nodes_of_a_ray_cluster_need_no_shared_folder(
-    bucket: FaultyBucket, alone: dict[str, bytes], ray_cluster: Any
+    bucket: FaultyBucket, alone: dict[str, bytes], ray_nodes: RayNodes
 ) -> None:
-    for _ in range(2):
-        ray_cluster.add_node(**RAY_NODE)
-    assert make("--executor", "ray", "--address", ray_cluster.address) == 0
+    ray_nodes.add()
+    ray_nodes.add()
+    assert make("--executor", "ray", "--address", ray_nodes.address) == 0
     assert bucket.contents("set") == alone
 
 

@@ -2,7 +2,6 @@
 
 import time
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -11,25 +10,25 @@ from multilight.datagen.errors import RunStoppedError
 from multilight.datagen.production.crew import Limits
 from multilight.datagen.production.worker import WorkerSetup
 from multilight.datagen.storage.store import read_dataset, scene_indices
-from tests.conftest import RAY_NODE
 from tests.datagen.test_drivers import SETTINGS, contents, start
+from tests.ray_nodes import RayNodes
 
 pytest.importorskip("ray")
 
 
 @pytest.mark.slow
 def test_a_cluster_that_loses_a_node_and_gains_one_leaves_the_bytes_of_a_single_run(
-    ray_cluster: Any, tmp_path: Path
+    ray_nodes: RayNodes, tmp_path: Path
 ) -> None:
     root, words = tmp_path / "set", ("--scenes", "8", "--views", "4")
-    lost, _ = ray_cluster.add_node(**RAY_NODE), ray_cluster.add_node(**RAY_NODE)
-    run = start(root, *words, "--executor", "ray", "--address", ray_cluster.address)
+    lost, _ = ray_nodes.add(), ray_nodes.add()
+    run = start(root, *words, "--executor", "ray", "--address", ray_nodes.address)
     alone = ["dataset", "--out", str(tmp_path / "alone"), *SETTINGS, *words]
     while len(scene_indices(root)) < 3 or len(list((root / "work").iterdir())) < 2:
         assert run.poll() is None, run.communicate()
         time.sleep(0.02)
-    ray_cluster.remove_node(lost, allow_graceful=False)
-    ray_cluster.add_node(**RAY_NODE)
+    ray_nodes.kill(lost)
+    ray_nodes.add()
     assert main(alone) == 0
     said, told = run.communicate(timeout=120)
     assert run.returncode == 0, told
