@@ -9,10 +9,12 @@ from typing import Literal
 import numpy as np
 
 from multilight.scenes.arrays import Float64
+from multilight.scenes.assets.info import AssetInfo
 from multilight.scenes.assets.library import AssetLibrary
 from multilight.scenes.colour import linear_from_hex
 from multilight.scenes.geometry.support_surfaces import SupportError, find_support
 from multilight.scenes.materials import METALS, body_materials, sample_material
+from multilight.scenes.meshes import Mesh
 from multilight.scenes.poses import about_z, apply_pose, pose_at
 from multilight.scenes.random_streams import Rng, pick, weighted_pick
 from multilight.scenes.spec import Material
@@ -79,10 +81,8 @@ def with_receiver(rng: Rng, library: AssetLibrary, setting: Setting, kind: Recei
     category = {"chrome tray": "tray", "standing mirror": "mirror"}.get(kind, "slab")
     found = [i for i in library.list("surrounding") if i.category == category and i.id.startswith("builtin/")]
     found = [info for info in found if info.category != "mirror" or "standing" in info.id]
-    info = pick(rng, found)
-    mesh = library.mesh(info.id)
+    info, mesh, local = _fitting(rng, library, setting, found, behind=kind == "standing mirror")
     low, high = (corner.astype(np.float64) for corner in mesh.bounds())
-    local = _pose_for(rng, setting, low, high, behind=kind == "standing mirror")
     pose = setting.world_from_surface @ local
     materials = body_materials(rng, library, info, mesh)
     made = (receiver_material(rng, kind), *materials[1:])
@@ -99,6 +99,23 @@ def with_receiver(rng: Rng, library: AssetLibrary, setting: Setting, kind: Recei
     except SupportError as error:
         raise PlacementError(f"{info.id}: {error}") from None
     return replace(setting, surface=surface, world_from_surface=pose, most=min(setting.most, MOST_ON_PLATE))
+
+
+def _fitting(
+    rng: Rng, library: AssetLibrary, setting: Setting, infos: list[AssetInfo], *, behind: bool
+) -> tuple[AssetInfo, Mesh, Float64]:
+    """Draw one of those that fit on the surface, and its place there; raises `PlacementError` where none does."""
+    left = list(infos)
+    while True:
+        info = pick(rng, left)
+        mesh = library.mesh(info.id)
+        low, high = (corner.astype(np.float64) for corner in mesh.bounds())
+        try:
+            return info, mesh, _pose_for(rng, setting, low, high, behind=behind)
+        except PlacementError:
+            left.remove(info)
+            if not left:
+                raise
 
 
 def _pose_for(rng: Rng, setting: Setting, low: Float64, high: Float64, *, behind: bool) -> Float64:

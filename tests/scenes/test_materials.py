@@ -1,5 +1,6 @@
 """Materials: classes keep to their ranges, maps are derived for assets that have only colour, glows are physical."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,14 +23,17 @@ from multilight.scenes.materials import (
     with_derived_maps,
 )
 from multilight.scenes.materials.emission import EMISSIONS, emission_of, part_area, sample_glow
-from multilight.scenes.spec import Material, Texture
+from multilight.scenes.spec import Material, MeshAsset, Texture
+from multilight.scenes.still_life.placement import PlacementError
 from multilight.scenes.still_life.receivers import (
     LOOSE,
     PROBABILITIES,
     ReceiverKind,
     choose_receiver,
     receiver_material,
+    with_receiver,
 )
+from multilight.scenes.still_life.setting import Setting, flat_surface
 
 MIRRORS: tuple[ReceiverKind, ...] = ("mirror top", "mirror plate", "chrome tray", "standing mirror")
 
@@ -194,3 +198,16 @@ def test_receivers_come_as_often_as_stated() -> None:
         assert made.metallic == 1
         assert made.roughness <= 0.12
     assert receiver_material(rng, "glass plate").transmission == 1
+
+
+def test_a_plate_is_one_that_fits(library: AssetLibrary) -> None:
+    """There are slabs with sides of 0.54 to 0.69 m; a surface of 0.65 m has room for some."""
+    small, drawn = Setting((), (), flat_surface(0.65, 0.65), np.eye(4), 0.0, 1.0), set()
+    for seed in range(20):
+        setting = with_receiver(np.random.default_rng(seed), library, small, "stone plate")
+        geometry = setting.bodies[0].geometry
+        assert isinstance(geometry, MeshAsset)
+        drawn.add(geometry.asset)
+    assert len(drawn) > 1
+    with pytest.raises(PlacementError, match="does not fit the surface"):
+        with_receiver(np.random.default_rng(0), library, replace(small, surface=flat_surface(0.4, 0.4)), "stone plate")
