@@ -15,6 +15,7 @@ const title = h("span", {});
 const objects = h("select", { "aria-label": "Object", onchange: () => { if (open) { open.state.object = objects.value; change(); } } });
 const button = (name: Parameters<typeof icon>[0], label: string, onclick: () => void) => h("button", { class: "quiet", "aria-label": label, title: label, onclick }, icon(name));
 const steps = [button("back", "Scene before", () => stepScene(-1)), button("next", "Next scene", () => stepScene(1))];
+const of = h("span", { class: "of" }, "with");
 const scenes = h("button", { class: "text strong", title: "All scenes", onclick: () => dataset && showScenes(dataset, open?.state.scene ?? -1, (index) => void openScene(index, "")) }, title);
 const main = h("main", {});
 const toast = h("div", { class: "toast", role: "status" });
@@ -31,7 +32,9 @@ let painter: Painter = makePainter();
 
 function makePainter(): Painter {
   try {
-    return new GpuPainter(() => useProcessor());
+    const made = new GpuPainter(useProcessor);
+    document.documentElement.dataset.painter = "gpu";
+    return made;
   } catch {
     document.documentElement.dataset.painter = "cpu";
     return new CpuPainter();
@@ -141,6 +144,7 @@ async function openScene(index: number, hash: string): Promise<void> {
     title.textContent = `Scene ${index} · ${scene.kind}`;
     document.title = `Scene ${index} · Light mixer`;
     objects.replaceChildren(...scene.objects.map((name) => h("option", { value: name }, slug(name))));
+    objects.hidden = of.hidden = !scene.objects.length;
     main.replaceChildren(stage.element, panel.element);
     stage.element.append(alarm);
   } catch (error) {
@@ -180,7 +184,7 @@ async function copyLink(): Promise<void> {
 }
 
 function help(): void {
-  showHelp(painter instanceof GpuPainter ? "Mixed on the graphics card, in half floats." : "There is no WebGL2 here: mixed by the processor, which is slower.");
+  showHelp(painter instanceof GpuPainter ? "Mixed on the graphics card, in half floats." : "Mixed by the processor: there is no graphics card here that WebGL2 can use.");
 }
 
 function key(event: KeyboardEvent): void {
@@ -227,7 +231,7 @@ async function follow(): Promise<void> {
 document.body.append(
   h("header", {},
     h("h1", {}, h("span", { class: "brand", "aria-hidden": "true" }, h("i", {}), h("i", {}), h("i", {})), h("span", {}, "Light mixer")),
-    h("div", { class: "where" }, steps[0], scenes, steps[1], h("span", { class: "of" }, "with"), objects),
+    h("div", { class: "where" }, steps[0], scenes, steps[1], of, objects),
     h("div", { class: "actions" }, button("save", "Save the lighting", () => open && showSave(open.state, open.scene, dataset?.address ?? "", tell)), button("link", "Copy the link", () => void copyLink()), button("help", "Help", help))),
   main, toast);
 document.addEventListener("keydown", key);

@@ -29,8 +29,14 @@ export class View {
     return this.about.bytes["all.gz"] * (1 + this.objects.size);
   }
 
+  /** Load an object's layers; those of no object (`""`) are those of the scene. */
   object(name: string): Promise<ObjectLayers> {
-    return this.once(name, async () => {
+    return this.once(`object ${name}`, async () => {
+      if (!name) {
+        const none: ObjectLayers = { without: this.all, foreground: new Uint16Array(), coverage: new Uint16Array(), box: [0, 0, 0, 0] };
+        this.objects.set(name, none);
+        return none;
+      }
       const found = this.about.objects.find((each) => each.name === name);
       if (!found) throw new Error(`view.json of ${this.folder} names no object ${name}`);
       const file = `object_${name}.gz`;
@@ -46,7 +52,7 @@ export class View {
   }
 
   shapes(): Promise<Geometry> {
-    return this.once("", async () => {
+    return this.once("geometry", async () => {
       const pixels = this.about.width * this.about.height;
       const buffer = await unpacked(`${this.folder}/geometry.gz`, this.about.bytes["geometry.gz"]);
       const halves = new Uint16Array(buffer, 4 * pixels);

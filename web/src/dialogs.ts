@@ -30,7 +30,7 @@ export function showSave(state: State, scene: Scene, address: string, told: (tex
     text.textContent = content();
     const option = side === "scene" ? "--condition" : "--insert-condition";
     const quoted = /^[\w@%+=:,./-]+$/.test(address) ? address : `'${address.replaceAll("'", "'\\''")}'`;
-    command.textContent = `multilight mix ${quoted} --scene ${state.scene} --view ${state.view} --object ${state.object} ${option} ${name.value}.json --out ${name.value}.png`;
+    command.textContent = `multilight mix ${quoted} --scene ${state.scene} --view ${state.view} ${state.object && `--object ${state.object} `}${option} ${name.value}.json --out ${name.value}.png`;
   };
   const choose = (chosen: Side) => {
     side = chosen;

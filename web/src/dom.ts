@@ -46,7 +46,7 @@ export function slider(label: string, low: number, high: number, step: number, m
     show(value: number, text: string): void {
       if (Math.abs(input.valueAsNumber - value) > step / 2) input.valueAsNumber = value;
       input.setAttribute("aria-valuetext", text);
-      input.style.setProperty("--at", String((Math.min(Math.max(value, low), high) - low) / (high - low)));
+      input.style.setProperty("--at", String((Math.min(Math.max(value, low), high) - low) / (high - low || 1)));
     },
   });
 }

@@ -16,7 +16,7 @@ uniform int pane, curve;
 out vec4 colour;
 vec3 mixed(sampler2DArray stack, ivec2 at, vec3 gains[${lights}]) {
   vec3 sum = vec3(0);
-  for (int i = 0; i < ${lights}; i++) sum += gains[i] * texelFetch(stack, ivec3(at, i), 0).rgb;
+  for (int i = 0; i < ${lights}; i++) if (gains[i] != vec3(0)) sum += gains[i] * texelFetch(stack, ivec3(at, i), 0).rgb;
   return sum;
 }
 vec3 pasted(ivec2 at) {

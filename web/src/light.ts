@@ -34,6 +34,10 @@ export function encode(linear: number): number {
   return x <= 0.0031308 ? 12.92 * x : 1.055 * x ** (1 / 2.4) - 0.055;
 }
 
+/** `encode` as 8 bits, of so many steps. */
+const STEPS = 1 << 14;
+const ENCODED = Uint8ClampedArray.from({ length: STEPS + 1 }, (_, step) => 255 * encode(step / STEPS));
+
 export function decode(encoded: number): number {
   return encoded <= 0.04045 ? encoded / 12.92 : ((encoded + 0.055) / 1.055) ** 2.4;
 }
@@ -74,9 +78,9 @@ export function display(curve: Curve, r: number, g: number, b: number, out: Uint
       g = g * scale + faded;
       b = b * scale + faded;
     }
-    out[at] = encode(r) * 255;
-    out[at + 1] = encode(g) * 255;
-    out[at + 2] = encode(b) * 255;
+    out[at] = ENCODED[(Math.min(r, 1) * STEPS + 0.5) | 0];
+    out[at + 1] = ENCODED[(Math.min(g, 1) * STEPS + 0.5) | 0];
+    out[at + 2] = ENCODED[(Math.min(b, 1) * STEPS + 0.5) | 0];
   }
   out[at + 3] = 255;
 }

@@ -46,7 +46,7 @@ function summed(layers: Uint16Array, size: number, at: number, gains: Float32Arr
   return sum;
 }
 
-/** Paints without WebGL. */
+/** Paints without a graphics card, light by light, so that memory is read in order. */
 export class CpuPainter implements Painter {
   private readonly canvas = document.createElement("canvas");
   private view!: View;
@@ -59,18 +59,52 @@ export class CpuPainter implements Painter {
 
   paint(pane: Pane, lit: Lit): CanvasImageSource {
     const { width, height } = this.view.about;
+    const picture = this.mixed(pane, lit);
     const image = new ImageData(width, height);
-    for (let y = 0, at = 0; y < height; y += 1) {
-      for (let x = 0; x < width; x += 1, at += 4) {
-        const [r, g, b] = radianceAt(pane, this.view, this.object, lit, x, y);
-        if (pane !== "effect") display(lit.curve, r, g, b, image.data, at);
-        else image.data.set([signed(r), signed(g), signed(b), 255], at);
-      }
+    for (let from = 0, to = 0; from < picture.length; from += 3, to += 4) {
+      const [r, g, b] = [picture[from], picture[from + 1], picture[from + 2]];
+      if (pane !== "effect") display(lit.curve, r, g, b, image.data, to);
+      else image.data.set([signed(r), signed(g), signed(b), 255], to);
     }
     Object.assign(this.canvas, { width, height });
     (this.canvas.getContext("2d") as CanvasRenderingContext2D).putImageData(image, 0, 0);
     return this.canvas;
   }
+
+  private mixed(pane: Pane, lit: Lit): Float32Array {
+    const { all } = this.view;
+    const { without, foreground, coverage, box: [left, top, wide, high] } = this.object;
+    const picture = mixedHalves(pane === "target" || pane === "effect" ? all : without, lit.base);
+    if (pane === "effect") {
+      const background = mixedHalves(without, lit.base);
+      for (let at = 0; at < picture.length; at += 1) picture[at] -= background[at];
+    } else if (pane === "composite") {
+      const own = mixedHalves(foreground, lit.insert);
+      for (let row = 0, from = 0; row < high; row += 1) {
+        let to = 3 * ((top + row) * this.view.about.width + left);
+        for (let column = 0; column < wide; column += 1) {
+          const free = 1 - HALF[coverage[row * wide + column]];
+          for (let c = 0; c < 3; c += 1, from += 1, to += 1) picture[to] = own[from] + free * picture[to];
+        }
+      }
+    }
+    return picture;
+  }
+}
+
+function mixedHalves(layers: Uint16Array, gains: Float32Array): Float32Array {
+  const size = (3 * layers.length) / gains.length;
+  const sum = new Float32Array(size);
+  for (let from = 0, i = 0; from < layers.length; from += size, i += 3) {
+    const [r, g, b] = [gains[i], gains[i + 1], gains[i + 2]];
+    if (!r && !g && !b) continue;
+    for (let at = 0; at < size; at += 3) {
+      sum[at] += r * HALF[layers[from + at]];
+      sum[at + 1] += g * HALF[layers[from + at + 1]];
+      sum[at + 2] += b * HALF[layers[from + at + 2]];
+    }
+  }
+  return sum;
 }
 
 function signed(value: number): number {

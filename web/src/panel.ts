@@ -75,7 +75,7 @@ export class Panel {
     this.conditions.forEach(({ button }, i) => button.setAttribute("aria-pressed", String(this.scene.conditions[i].name === stored)));
   }
 
-  /** Paint the thumbnails of a view, one after the other so that nothing waits for them. */
+  /** Paint the thumbnails of a view. */
   show(view: View): void {
     if (this.small?.view === view) return;
     this.small = { view, metered: shrunk(view, METERED) };
@@ -126,8 +126,12 @@ export class Panel {
       h("div", { class: "dials" },
         h("label", {}, h("span", { class: "key" }, "Power"), stopsText, stops),
         h("label", {}, h("span", { class: "key" }, "Colour"), kelvinText, kelvin), colour));
+    let synced = "";
     const sync = (lighting: Lighting, now: Lamp): void => {
       const on = isOn(lighting, now);
+      const words = JSON.stringify([on, now]);
+      if (words === synced) return;
+      synced = words;
       element.classList.toggle("off", !on);
       power.setAttribute("aria-checked", String(now.on));
       solo.setAttribute("aria-pressed", String(now.solo));

@@ -35,6 +35,7 @@ export class Stage {
   private readonly turn;
   private readonly turnText = h("output", { class: "value" });
   private readonly stored = new WeakMap<View, Map<Pane, ImageData>>();
+  private readonly painted = new WeakMap<HTMLCanvasElement, { wanted: string; shown: Shown; painter: Painter }>();
   private layout: Layout | "" = "";
   private ratio = 0;
 
@@ -48,7 +49,7 @@ export class Stage {
     this.element = h("section", { class: "stage", "aria-label": "Pictures" },
       h("div", { class: "bar" }, this.selects[0], this.layouts, this.selects[1]),
       this.area,
-      h("div", { class: "bar views" }, step(-1, "View before", "back"), this.turn, step(1, "Next view", "next"), this.turnText),
+      h("div", { class: "bar views", hidden: scene.views === 1 }, step(-1, "View before", "back"), this.turn, step(1, "Next view", "next"), this.turnText),
       this.legend, this.read);
   }
 
@@ -81,7 +82,7 @@ export class Stage {
     });
   }
 
-  /** Paint all panes that are shown. Geometry that is not loaded yet is asked for, and painted by a later call. */
+  /** Paint the panes that show something else than they should. Geometry that is not loaded yet is painted by a later call. */
   paint(shown: Shown, painter: Painter, lit: Lit): void {
     const { width, height } = shown.view.about;
     if (this.ratio !== width / height) {
@@ -89,10 +90,15 @@ export class Stage {
       this.area.style.setProperty("--ratio", String(this.ratio));
     }
     for (const [canvas, pane] of this.canvases) {
+      const wanted = isLit(pane) ? [pane, lit.curve, lit.base, pane === "composite" ? lit.insert : ""].join() : pane;
+      const old = this.painted.get(canvas);
+      if (old && old.wanted === wanted && old.shown === shown && old.painter === painter) continue;
+      if (!isLit(pane) && !shown.view.geometry) continue;
       if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
       const context = canvas.getContext("2d") as CanvasRenderingContext2D;
       if (isLit(pane)) context.drawImage(painter.paint(pane, lit), 0, 0);
       else if (shown.view.geometry) context.putImageData(this.storedOf(pane, shown.view, shown.view.geometry), 0, 0);
+      this.painted.set(canvas, { wanted, shown, painter });
     }
     this.mark(shown, lit);
   }
@@ -205,7 +211,9 @@ export class Stage {
       mark.hidden = !pick;
       if (pick) Object.assign(mark.style, { left: `${(100 * (pick.x + 0.5)) / width}%`, top: `${(100 * (pick.y + 0.5)) / height}%` });
     }
-    this.read.replaceChildren(...(pick ? this.told(shown, lit) : [h("span", { class: "hint" }, "Drag to turn through the views, click to read a pixel.")]));
+    const facts = pick ? this.told(shown, lit) : [h("span", { class: "hint" }, `${this.scene.views > 1 ? "Drag to turn through the views, click" : "Click"} to read a pixel.`)];
+    // Put there only where it says something new: screen readers read out what is put there.
+    if (this.read.textContent !== facts.map((fact) => fact.textContent).join("")) this.read.replaceChildren(...facts);
   }
 
   private told({ view, object }: Shown, lit: Lit): Node[] {

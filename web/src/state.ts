@@ -47,10 +47,16 @@ export function conditionOf(lighting: Lighting, scene: Scene, name: string): Con
   return { name, gains: Object.fromEntries(lit) as Record<string, Rgb>, exposure_ev: round(lighting.ev, 4) };
 }
 
+const worded = new WeakMap<Condition, string>();
+
 /** The stored condition that a lighting is, if it is one. */
 export function storedAs(lighting: Lighting, scene: Scene): Condition | undefined {
   const wanted = inWords(lighting);
-  return scene.conditions.find((condition) => inWords(lightingOf(condition, scene)) === wanted);
+  return scene.conditions.find((condition) => {
+    const words = worded.get(condition) ?? inWords(lightingOf(condition, scene));
+    worded.set(condition, words);
+    return words === wanted;
+  });
 }
 
 export function sideLit(state: State, side: Side): Lighting {
