@@ -66,6 +66,40 @@ def test_links_and_pictures_lead_somewhere(page: Path) -> None:
         assert not anchor or anchor in anchors(place), f"{page.name}: {target}"
 
 
+PICTURE = re.compile(r"!\[[^\]]*\]\(([^)]+)\)")
+
+
+def sections(page: Path) -> list[str]:
+    """Return what stands under each heading of a page."""
+    text = FENCED.sub(lambda block: block[0].replace("\n#", "\n "), page.read_text())  # comments are no headings
+    return re.split(r"^#+ ", text, flags=re.MULTILINE)
+
+
+def says_how(section: str, picture: Path) -> bool:
+    """Whether a section leads to the example that makes a picture, or names it in its commands."""
+    code = " ".join([*(block for _, block in FENCED.findall(section)), *re.findall(r"`([^`]+)`", section)])
+    return f"examples/{picture.stem}.py)" in section or bool(re.search(rf"\b{picture.stem}\.(png|jpg)", code))
+
+
+def pictures_in(page: Path, section: str) -> list[Path]:
+    return [(page.parent / target).resolve() for target in PICTURE.findall(section)]
+
+
+@pages
+def test_pictures_have_their_command_beside_them(page: Path) -> None:
+    """In the section that shows it, or on a page that this leads to and that shows it as well."""
+    for section in sections(page):
+        linked = [(page.parent / link).resolve() for link in re.findall(r"\]\(([\w/]+\.md)\)", section)]
+        for picture in pictures_in(page, section):
+            others = [part for other in linked for part in sections(other) if picture in pictures_in(other, part)]
+            assert any(says_how(part, picture) for part in (section, *others)), (page.name, picture.name)
+
+
+def test_every_picture_is_shown() -> None:
+    shown = {picture for page in PAGES for picture in pictures_in(page, page.read_text())}
+    assert shown == set((ROOT / "docs").rglob("*.jpg")) | set((ROOT / "docs").rglob("*.png"))
+
+
 @pages
 def test_named_files_exist(page: Path) -> None:
     for span in spans(page):
@@ -124,7 +158,9 @@ def printed(page: Path) -> Iterator[list[str]]:
 def test_printed_commands_can_be_given(page: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Also those that take too long to be run: values are allowed, and what they name of the repository is there."""
     in_text = [shlex.split(span) for span in spans(page) if re.match(r"(\w+=\S+ )*(python|pytest) ", span)]
-    for words in (*printed(page), *in_text):
+    shown = "\n".join(blocks(page, "console")).replace("\\\n", "")
+    typed = [shlex.split(line) for line in re.findall(r"^\$ (multilight [^&\n]*)", shown, re.MULTILINE)]
+    for words in (*printed(page), *typed, *in_text):
         while "=" in words[0]:
             words = words[1:]
         for word in words[1:]:

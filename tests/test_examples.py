@@ -77,7 +77,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_each_example_is_short_and_has_its_picture() -> None:
-    assert len(EXAMPLES) == 6
+    assert len(EXAMPLES) == 7
     shown = (ROOT / "README.md").read_text() + "".join(page.read_text() for page in (ROOT / "docs").glob("*.md"))
     sizes = []
     for path in EXAMPLES:
@@ -111,6 +111,13 @@ def test_train_on_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
         example("train_on_it")(tmp_path, steps=3)
     assert picture(tmp_path / "train_on_it.jpg").shape == (3 * 96, 6 * 96, 3)
     assert "of the composites' squared error" in capsys.readouterr().out
+
+
+def test_harmonize_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with made_with(**SPHERES, scenes=2):
+        example("harmonize_it")(tmp_path)
+    assert picture(tmp_path / "harmonize_it.jpg").shape == (2 * 48, 4 * 64, 3)
+    assert capsys.readouterr().out.count(" dB\n") == 2
 
 
 def test_add_a_kind_of_light(made: Path) -> None:
