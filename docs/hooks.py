@@ -1,6 +1,7 @@
 """What `mkdocs build` is told besides: the root's documents and the examples are pages; the light mixer is there."""
 
 import re
+from collections import Counter
 from pathlib import Path
 
 from mkdocs.config.defaults import MkDocsConfig
@@ -56,3 +57,23 @@ def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
         r"\[([^\]]+)\]\((?:examples|docs|CITATION\.cff|LICENSE|(?:\.\./)?deploy/[\w.-]+)\)", r"\1", markdown
     )
     return re.sub(r"\]\((?:\.\./|docs/)", "](", markdown)
+
+
+def on_post_page(output: str, **_: object) -> str:
+    """Mend what bars screen readers: a dialog without a name, headings of tables without a word, equal names."""
+    output = output.replace('role="dialog"', 'role="dialog" aria-label="Search"')
+    output = re.sub(r"<thead>\s*<tr>\s*(?:<th[^>]*></th>\s*)+</tr>\s*</thead>", "", output)
+    output = re.sub(r"<th([^>]*)></th>", r"<td\1></td>", output)
+    seen: Counter[str] = Counter()
+
+    def numbered(nav: re.Match[str]) -> str:
+        name = nav[0].lower().strip()
+        seen[name] += 1
+        return nav[0] if seen[name] == 1 else f"{nav[0]} {seen[name]}"
+
+    return re.sub(r'<nav class="md-nav" aria-label="[^"]*', numbered, output)
+
+
+def on_post_template(output_content: str, **_: object) -> str:
+    """Mend the page that tells of a page that is not there."""
+    return on_post_page(output_content)
