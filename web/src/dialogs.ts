@@ -11,12 +11,16 @@ function opened(title: string, ...children: (Node | string)[]): HTMLDialogElemen
   return dialog;
 }
 
+function counted(count: number, what: string): string {
+  return `${count} ${what}${count === 1 ? "" : "s"}`;
+}
+
 export function showScenes(dataset: Dataset, current: number, chosen: (index: number) => void): void {
   const cards = dataset.scenes.map(({ index, kind, lights, objects, views }) =>
     h("button", { class: "card", "aria-current": index === current && "true", onclick: () => { dialog.close(); chosen(index); } },
       h("img", { src: `${sceneFolder(index)}/preview.png`, alt: "", loading: "lazy" }),
-      h("strong", {}, `Scene ${index}`), h("span", {}, `${kind} · ${lights} lights · ${objects} objects · ${views} views`)));
-  const dialog = opened(`${dataset.scenes.length} scenes`, h("div", { class: "cards" }, ...cards));
+      h("strong", {}, `Scene ${index}`), h("span", {}, [kind, counted(lights, "light"), counted(objects, "object"), counted(views, "view")].join(" · "))));
+  const dialog = opened(counted(dataset.scenes.length, "scene"), h("div", { class: "cards" }, ...cards));
 }
 
 export function showSave(state: State, scene: Scene, address: string, told: (text: string) => void): void {
