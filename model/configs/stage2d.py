@@ -1,7 +1,7 @@
 """The typed configuration of the 2D network and of its training; imports no torch."""
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field, model_validator
 
@@ -10,6 +10,9 @@ from multilight.scenes.frozen import Settings, UnitFloat
 Head = Literal["light", "gain", "residual", "direct"]
 Lighting = Literal["random", "wild", "stored"]
 Input = Literal["background", "depth"]
+Fault = Literal["no depth", "depth with holes", "affine depth", "noisy depth", "guessed depth", "misplaced", "scaled"]
+FAULTS: tuple[Fault, ...] = get_args(Fault)
+"""What users' inputs have wrong; simulated by `data.faults`."""
 Positive = Annotated[float, Field(gt=0)]
 
 
@@ -68,6 +71,8 @@ class DataConfig(Settings):
     colours), or two of the scene's stored conditions."""
     augment: bool = True
     """Vary exposure, white balance, camera response, crop and direction."""
+    faults: UnitFloat = 0.3
+    """Probability that a sample's depth is missing, wrong or guessed, or its object misplaced; of augmented ones."""
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     """Seed of the samples."""
     workers: Annotated[int, Field(ge=0, le=256)] = 1
