@@ -86,18 +86,19 @@ class DataConfig(Settings):
 
 
 class LossConfig(Settings):
-    """What is minimized: effect-weighted error of the pixels + `perceptual` times a distance."""
+    """What is minimized: an error of the pixels + `perceptual` times a distance."""
 
     pixels: Literal["mse", "log"] = "log"
-    """`mse`: mean squared error. `log`: its logarithm picture by picture, which is the mean PSNR, up to 30 dB."""
+    """`mse`: mean squared error, as published. `log`: the logarithm of that on the object and its effect, picture by
+    picture, which is the mean PSNR there, up to 30 dB."""
     perceptual: Annotated[float, Field(ge=0, le=100)] = 0.05
     """Weight of the perceptual distance."""
     vgg: Path | None = None
     """VGG19 weights (torchvision .pth or MatConvNet .mat); without: a stand-in, gradients and SSIM."""
     lights: Annotated[float, Field(ge=0, le=1)] = 1e-3
     """Weight of how far guessed lights are from the true ones, of a head that guesses them."""
-    far: Positive = 0.5
-    """Weight of a pixel that the object does not change, against 1 on the object."""
+    far: Positive = 3.0
+    """Of `log`: weight of the mean error elsewhere, against 1 of that on the object and its effect."""
 
 
 class StageConfig(Settings):
