@@ -37,16 +37,20 @@ def test_the_site_is_built_without_warnings(site: Path) -> None:
     assert (site / "mixer/data/scenes/000001/views/00/all.gz").is_file()
 
 
+IN_THE_DARK = ["index.html", "tutorial.html", "measurements.html", "reference/python.html"]
+"""Pages with all kinds of code, tables and links, whose colours alone are others in the dark."""
+
+
 @needs_npm
-@pytest.mark.parametrize(("scheme", "rules"), [("light", ()), ("dark", ("color-contrast",))], ids=["light", "dark"])
-def test_no_page_bars_anyone(browser: Any, site: Path, scheme: str, rules: tuple[str, ...]) -> None:
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_no_page_bars_anyone(browser: Any, site: Path, scheme: str) -> None:
     page = browser.new_page(color_scheme=scheme, reduced_motion="reduce")
+    names = {file.relative_to(site).as_posix() for file in site.rglob("*.html")}
+    names -= {"mixer/index.html"}  # tests/datagen/test_view.py
     found = {}
     with http_server(site) as (address, _):
-        for file in sorted(site.rglob("*.html")):
-            name = file.relative_to(site).as_posix()
-            if name != "mixer/index.html":  # tests/datagen/test_view.py
-                page.goto(f"{address}/{name}")
-                found[name] = barriers(page, *rules)
+        for name in IN_THE_DARK if scheme == "dark" else sorted(names):
+            page.goto(f"{address}/{name}")
+            found[name] = barriers(page)
     page.close()
     assert not {name: told for name, told in found.items() if told}

@@ -450,7 +450,9 @@ def test_twelve_lights(browser: Any, sphere_view: tuple[SceneRecord, ViewData], 
 
 
 @needs_npm
-@pytest.mark.parametrize(("scheme", "width", "height"), [("dark", 1440, 900), ("light", 390, 844), ("light", 820, 1180)])
+@pytest.mark.parametrize(
+    ("scheme", "width", "height"), [("dark", 1440, 900), ("light", 390, 844), ("light", 820, 1180)]
+)
 def test_nothing_bars_anyone(browser: Any, address: str, scheme: str, width: int, height: int) -> None:
     view = {"width": width, "height": height}
     with mixer(browser, address, viewport=view, color_scheme=scheme, reduced_motion="reduce") as page:
