@@ -160,7 +160,7 @@ def test_sampled_tabletops(
     renderers: tuple[Backend, Backend], library: AssetLibrary, seed: int, tmp_path: Path
 ) -> None:
     """Whole scenes, denoised, so that what is left is not noise."""
-    config = DatasetConfig(seed=seed, width=96, height=96, views=4)
+    config = DatasetConfig(seed=seed, width=64, height=64, views=4)
     scene, rig = sample_scene(config, library, Streams(seed, 0))
     job = RenderJob(scene, rig, RenderSettings(spp=SAMPLED_SPP, threads=2), 2)
     ours, theirs = (denoise_all(backend.render(job), threads=2) for backend in renderers)
