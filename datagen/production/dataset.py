@@ -18,14 +18,7 @@ from multilight.datagen.report import Report, event
 from multilight.datagen.storage.address import find_place
 from multilight.datagen.storage.open_dataset import read_record, scene_names
 from multilight.datagen.storage.records import DatasetRecord, ImportAccount
-from multilight.datagen.storage.store import (
-    COPIES,
-    MOST_RECORD,
-    parse_dataset,
-    read_dataset,
-    scene_indices,
-    write_text,
-)
+from multilight.datagen.storage.store import COPIES, MOST_RECORD, parse_dataset, read_dataset, scene_indices, write_text
 from multilight.scenes.assets.cache import check_cache, file_digest
 from multilight.scenes.assets.check import MODELS
 from multilight.scenes.assets.info import AssetRole

@@ -152,10 +152,7 @@ class SceneRecord(Schema):
 
     @model_validator(mode="after")
     def _hashes_hold(self) -> "SceneRecord":
-        for name, spec, stated in (
-            ("scene", self.scene, self.scene_sha256),
-            ("rig", self.rig, self.rig_sha256),
-        ):
+        for name, spec, stated in (("scene", self.scene, self.scene_sha256), ("rig", self.rig, self.rig_sha256)):
             if spec.sha256() != stated:
                 raise ValueError(f"{name}_sha256 is {stated[:12]}… but the {name} hashes to {spec.sha256()[:12]}…")
         return self

@@ -85,13 +85,7 @@ def verify_dataset(
 
 
 def _results(
-    place: Place,
-    record: DatasetRecord | None,
-    faults: list[Fault],
-    report: Report,
-    *,
-    quick: bool,
-    sample: int | None,
+    place: Place, record: DatasetRecord | None, faults: list[Fault], report: Report, *, quick: bool, sample: int | None
 ) -> Iterator[Result]:
     rows = _read_index(place, record, faults)
     scenes = _scenes(place, record, rows, faults)
