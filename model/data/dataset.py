@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 import polars as pl
@@ -22,18 +22,27 @@ from multilight.model.data.augment import (
     cropped_camera,
     draw_camera,
     draw_crop,
+    draw_paint,
     resize,
 )
 from multilight.model.data.faults import Placement, draw_placement, misplaced_tuple, wrong_depth
 from multilight.model.data.lighting import light_fractions, lit_conditions, tints
 from multilight.model.data.lights import LEAST, SceneLights, read_lights
-from multilight.model.data.mixing import Pictures, mix_tuple
+from multilight.model.data.mixing import UNPAINTED, Pictures, mix_tuple
 from multilight.model.data.plan import Draw, Plan, places_of
 from multilight.model.data.settings import RIGHT, SampleSettings
 from multilight.scenes.arrays import Float32
 
 Sample = dict[str, Any]
 """Tensors and `meta`, as `MultiLightDataset` describes them."""
+
+
+class Lit(TypedDict):
+    """How a tuple is lit and taken: (L, 3) linear gains of the object, and of all else, and the camera."""
+
+    insert: Float32
+    base: Float32
+    camera: CameraResponse
 
 
 class MultiLightDataset(Dataset[Sample]):
@@ -175,12 +184,14 @@ def make_samples(
         insert = base
     camera = draw_camera(rng) if settings.augment else PLAIN
     mirrored = bool(settings.augment and rng.random() < 0.5)
-    faulty = rng.spawn(1)[0]  # of its own, so that samples without a fault are as they were
+    faulty, painter = rng.spawn(2)  # of their own, so that samples without a fault are as they were
+    paint = draw_paint(painter) if settings.augment else UNPAINTED
     faults = faulty.random() < settings.faults
     fault = settings.kinds[faulty.integers(len(settings.kinds))] if faults else None
+    lit: Lit = {"insert": insert, "base": base, "camera": camera}
     result = []
     for view in views:
-        pictures = _mixed(view, draw.place.object, draw_placement(faulty, fault), insert, base, camera)
+        pictures = _mixed(view, draw.place.object, draw_placement(faulty, fault), paint, lit)
         crop = centre_crop(*view.z_depth.shape)
         if settings.augment:
             crop = draw_crop(rng, pictures.mask[0].numpy(), mirrored=mirrored)
@@ -200,13 +211,9 @@ def make_samples(
     return result
 
 
-def _mixed(
-    view: PackedView, name: str, place: Placement | None, insert: Float32, base: Float32, camera: CameraResponse
-) -> Pictures:
-    """Mix an object's tuple, pasted where it is, or at `place`."""
-    if place is None:
-        return mix_tuple(view, name, insert=insert, base=base, camera=camera)
-    return misplaced_tuple(view, name, place, insert=insert, base=base, camera=camera)
+def _mixed(view: PackedView, name: str, place: Placement | None, paint: Float32, lit: Lit) -> Pictures:
+    """Mix an object's tuple, repainted and where it is, or pasted at `place` as it is."""
+    return mix_tuple(view, name, paint=paint, **lit) if place is None else misplaced_tuple(view, name, place, **lit)
 
 
 def cropped_sample(view: PackedView, pictures: Pictures, crop: Crop, size: int) -> dict[str, Tensor]:
