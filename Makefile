@@ -31,14 +31,15 @@ OPTIONS := $(if $(SCENES),--scenes $(SCENES)) $(if $(SEED),--seed $(SEED)) \
 # What bpy and Dr.Jit link against and a bare system lacks. Without root they are unpacked into .venv/system.
 LIBRARIES := libx11-6 libxcb1 libxau6 libxdmcp6 libbsd0 libmd0 libxrender1 libxfixes3 libxi6 libxext6 libxkbcommon0 \
 	libsm6 libice6 libuuid1 libgl1 libglx0 libglvnd0 libgomp1 libatomic1
-# A file's tests stay in one process, which keeps what they share.
-PARALLEL := -n logical --maxprocesses 8 --dist loadfile
+# A file's tests stay in one process, which keeps what they share; the order is that of `tests/conftest.py`.
+PARALLEL := -n logical --maxprocesses 8 --dist loadfile --no-loadscope-reorder
 QUICK := tests/lights tests/scenes/files tests/datagen/test_compose.py tests/datagen/test_config.py tests/datagen/test_residuals.py \
 	tests/datagen/test_text.py tests/model/test_losses.py tests/model/test_metrics.py tests/test_boundaries.py tests/test_documents.py
 AS_ROOT := $(filter 0,$(shell id -u))
 
 .PHONY: help dataset assets test quick train docs check format web chromium clean system-libraries
 .DEFAULT_GOAL := help
+unexport PYTHONDONTWRITEBYTECODE  # tests and workers start hundreds of processes
 
 help:
 	@echo "$$HELP"

@@ -190,8 +190,7 @@ def _of_each_channel(gain: object) -> object:
 
 
 Gains = Annotated[
-    tuple[Gain, Gain, Gain],
-    BeforeValidator(_of_each_channel, json_schema_input_type=Gain | tuple[Gain, Gain, Gain]),
+    tuple[Gain, Gain, Gain], BeforeValidator(_of_each_channel, json_schema_input_type=Gain | tuple[Gain, Gain, Gain])
 ]
 
 

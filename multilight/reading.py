@@ -125,12 +125,7 @@ class Scene:
         return compose.target(data, lit) if without is None else compose.background(data, without, lit)
 
     def tuple(
-        self,
-        view: int = 0,
-        object: str | None = None,
-        *,
-        condition: Lighting = "all",
-        insert_condition: Lighting = 0,
+        self, view: int = 0, object: str | None = None, *, condition: Lighting = "all", insert_condition: Lighting = 0
     ) -> CompositingTuple:
         """Return composite, background, depth, target and mask of an object (the first, unless named).
 

@@ -8,11 +8,7 @@ from typing import Annotated, Self, SupportsFloat
 from pydantic import BaseModel, ConfigDict, Field
 
 Vector3 = tuple[float, float, float]
-Rgb = tuple[
-    Annotated[float, Field(ge=0)],
-    Annotated[float, Field(ge=0)],
-    Annotated[float, Field(ge=0)],
-]
+Rgb = tuple[Annotated[float, Field(ge=0)], Annotated[float, Field(ge=0)], Annotated[float, Field(ge=0)]]
 UnitFloat = Annotated[float, Field(ge=0, le=1)]
 Row4 = tuple[float, float, float, float]
 Matrix4 = tuple[Row4, Row4, Row4, Row4]

@@ -56,6 +56,13 @@ def pytest_cmdline_main() -> Iterator[None]:
     return status
 
 
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the files that take long, so that at the end none is left for one process alone."""
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: item.path not in slow)
+
+
 @pytest.fixture(scope="module", autouse=True)
 def memory_given_back() -> Iterator[None]:
     """Give back after each file what renderers and the allocator keep for reuse: a process of the tests stays small."""

@@ -94,10 +94,7 @@ def home_of(path: Path) -> str:
 
 
 def test_readers_do_not_import_makers() -> None:
-    makers = (
-        "multilight.datagen.backends.",
-        "multilight.datagen.production",
-    )
+    makers = ("multilight.datagen.backends.", "multilight.datagen.production")
     for reader in ("storage", "tuples", "verification"):
         for path in (ROOT / "datagen" / reader).glob("*.py"):
             named = imports_of(path)

@@ -180,9 +180,9 @@ def test_printed_commands_can_be_given(page: Path, capsys: pytest.CaptureFixture
 
 
 def check_script(file: Path, words: list[str]) -> None:
-    """Check that a script's options are there, which are the fields of a class."""
+    """Check that a script's options are there, which are the fields of a class, or parameters."""
     named = {word[2:].replace("-", "_") for word in words if word.startswith("--")}
-    assert not named or named <= set(re.findall(r"^    (\w+): ", file.read_text(), re.MULTILINE)), file
+    assert not named or named <= set(re.findall(r"(?:^    |[(,] ?)(\w+): ", file.read_text(), re.MULTILINE)), file
 
 
 def test_every_command_is_in_the_table() -> None:

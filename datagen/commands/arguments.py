@@ -20,11 +20,7 @@ from multilight.datagen.errors import UserError
 from multilight.datagen.text import did_you_mean
 from multilight.scenes.files.limits import shown
 
-CONFIG = (
-    tyro.conf.OmitArgPrefixes,
-    tyro.conf.DisallowNone,
-    tyro.conf.FlagCreatePairsOff,
-)
+CONFIG = (tyro.conf.OmitArgPrefixes, tyro.conf.DisallowNone, tyro.conf.FlagCreatePairsOff)
 REGISTRY = ConstructorRegistry()
 _ASKED: set[type] = set()
 METAVARS = {

@@ -19,7 +19,7 @@ from multilight.datagen.report import LOG, Report, event
 from multilight.datagen.storage.open_dataset import repair_command
 from multilight.datagen.tables import print_table
 from multilight.datagen.text import duration, plain, size, terminal
-from multilight.datagen.verification.dataset import ANEW, Result, Verification
+from multilight.datagen.verification.dataset import Result, Verification
 from multilight.datagen.verification.views import CHECKS
 
 FIRST_LINE, LINES = 10.0, 60.0
@@ -192,7 +192,7 @@ def print_verification(root: str, verification: Verification, *, as_json: bool) 
         print(f"all {len(scenes)} scenes ok" if len(scenes) > 1 else "the scene is ok")
     else:
         print(f"{sum(not found for _, found in scenes)} of {len(scenes)} scenes ok, {len(faults)} faults")
-        if Path(root).is_dir() and not any(ANEW in fault.message for fault in faults):
+        if Path(root).is_dir():
             print(plain(f"what is damaged is made anew by: {repair_command(root)}"))
     return 1 if faults or not scenes else 0
 

@@ -23,22 +23,15 @@ _MIXED: dict[str, Any] = {
 }
 PRESETS: dict[Preset, PresetValues] = {
     "tabletop": PresetValues("still lifes on tables", {"kind": "tabletop"}),
-    "room": PresetValues(
-        "furnished rooms",
-        {"kind": "room", "lights": (2, 8), "cameras": {"lens_mm": (24.0, 50.0)}},
-    ),
+    "room": PresetValues("furnished rooms", {"kind": "room", "lights": (2, 8), "cameras": {"lens_mm": (24.0, 50.0)}}),
     "outdoor": PresetValues(
-        "open ground under a sky",
-        {"kind": "outdoor", "lights": (1, 4), "cameras": {"depth_of_field": 0.2}},
+        "open ground under a sky", {"kind": "outdoor", "lights": (1, 4), "cameras": {"depth_of_field": 0.2}}
     ),
     "studio": PresetValues(
         "a photographer's studio: key, fill and rim lights, longer lenses, some with a shallow focus",
         {"kind": "studio", "lights": (2, 8), "cameras": {"lens_mm": (35.0, 85.0), "depth_of_field": 0.3}},
     ),
-    "mixed": PresetValues(
-        "all kinds; open ground is held out for the out-of-domain test",
-        _MIXED,
-    ),
+    "mixed": PresetValues("all kinds; open ground is held out for the out-of-domain test", _MIXED),
     "wild": PresetValues("as mixed, with lamps and conditions in saturated colours", _MIXED | {"wild": True}),
     "demo": PresetValues(
         "a small set on which every command runs: all kinds and splits; `make dataset` makes it",

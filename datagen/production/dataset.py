@@ -17,16 +17,8 @@ from multilight.datagen.production.running import Plan, Work, run_scenes
 from multilight.datagen.report import Report, event
 from multilight.datagen.storage.address import find_place
 from multilight.datagen.storage.open_dataset import read_record, scene_names
-from multilight.datagen.storage.records import GHOSTS, DatasetRecord, ImportAccount
-from multilight.datagen.storage.store import (
-    COPIES,
-    MOST_RECORD,
-    parse_dataset,
-    read_dataset,
-    scene_indices,
-    write_text,
-)
-from multilight.datagen.verification.dataset import ANEW
+from multilight.datagen.storage.records import DatasetRecord, ImportAccount
+from multilight.datagen.storage.store import COPIES, MOST_RECORD, parse_dataset, read_dataset, scene_indices, write_text
 from multilight.scenes.assets.cache import check_cache, file_digest
 from multilight.scenes.assets.check import MODELS
 from multilight.scenes.assets.info import AssetRole
@@ -177,17 +169,10 @@ def _open_record(plan: Plan, renderer: RendererName, home: Home, here: Makers) -
         record = read_dataset(plan.root)
     except StoreError as error:
         return _restored_record(plan, renderer, home, here, error)
-    if record.schema_version <= GHOSTS:
-        raise UserError(f"{name} cannot be continued or repaired: {ANEW}")
     if record.renderer != renderer:
         raise UserError(
             f"{name} was made with renderer {record.renderer!r} and cannot be continued with {renderer!r}; "
             f"use --renderer {record.renderer} or another --out"
-        )
-    if record.variant == "scalar_rgb":
-        raise UserError(
-            f"{name} was made with Mitsuba's variant 'scalar_rgb', which is gone and looks different; "
-            "it can be read, but not continued: use another --out"
         )
     same = same_background(record, plan.config.background)
     if other := record.other_settings(plan.config, same_background=same):

@@ -16,7 +16,7 @@ from multilight.datagen.report import Report
 from multilight.datagen.storage.address import find_place
 from multilight.datagen.storage.blocks import joined, read_blocks
 from multilight.datagen.storage.index import Row
-from multilight.datagen.storage.records import GHOSTS, DatasetRecord, view_file
+from multilight.datagen.storage.records import DatasetRecord, view_file
 from multilight.datagen.storage.store import read_dataset, scene_dir, write_text
 from multilight.datagen.verification.dataset import PREVIEW
 from multilight.scenes.files.atomic import sync
@@ -80,8 +80,6 @@ def merge_parts(parts: Sequence[Path], out: Path, report: Report) -> Merged:
 
 def _opened(root: Path) -> _Part:
     record = read_dataset(root)
-    if record.schema_version <= GHOSTS:
-        raise UserError(f"{root} is of schema {record.schema_version}, which cannot be continued: make it anew")
     index = read_blocks(find_place(root), record)
     there = survey(root, record, index, contents=False)
     rows = {row["index"]: row for row in joined(index.sound().values()).iter_rows(named=True)} | there.rows

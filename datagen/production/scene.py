@@ -21,14 +21,7 @@ from multilight.datagen.production.view import RenderedView, SceneSetup, render_
 from multilight.datagen.storage.halves import in_half
 from multilight.datagen.storage.object_variants import ALL
 from multilight.datagen.storage.records import AssetCredit, SceneRecord, ViewRecord, view_file
-from multilight.datagen.storage.store import (
-    ViewData,
-    file_sha256,
-    read_view,
-    scene_dir,
-    write_text,
-    write_view,
-)
+from multilight.datagen.storage.store import ViewData, file_sha256, read_view, scene_dir, write_text, write_view
 from multilight.datagen.tuples.exposure import meter_condition, thumbnail
 from multilight.datagen.tuples.sheet import save_preview
 from multilight.datagen.verification.views import Fault, brightness, verify_exposure, verify_pair, verify_rendered

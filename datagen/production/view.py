@@ -8,12 +8,7 @@ import numpy as np
 
 from multilight.datagen.backends.protocol import LARGE, Backend, RenderJob, RenderSettings
 from multilight.datagen.files.shelf import Shelf
-from multilight.datagen.production.denoise import (
-    denoise_all,
-    denoise_foreground,
-    denoise_without,
-    foreground_layers,
-)
+from multilight.datagen.production.denoise import denoise_all, denoise_foreground, denoise_without, foreground_layers
 from multilight.datagen.production.stopwatch import Stopwatch
 from multilight.datagen.storage.halves import Halves, Planes, in_planes
 from multilight.datagen.storage.layers import LayerStack

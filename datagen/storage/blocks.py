@@ -13,7 +13,7 @@ import polars as pl
 from multilight.datagen.errors import StoreError
 from multilight.datagen.storage.address import Place
 from multilight.datagen.storage.index import index_table, parse_index
-from multilight.datagen.storage.records import GHOSTS, DatasetRecord
+from multilight.datagen.storage.records import DatasetRecord
 
 BLOCK = 10_000
 """Scenes of a block."""
@@ -34,7 +34,7 @@ class Index:
 
 
 def joined(tables: Iterable[pl.DataFrame]) -> pl.DataFrame:
-    """Put tables together, ordered by scene; older ones may lack columns."""
+    """Put tables together, ordered by scene."""
     whole = [table for table in tables if len(table)]
     if len(whole) < 2:
         return whole[0] if whole else index_table([])
@@ -54,16 +54,16 @@ def stated_blocks(record: DatasetRecord) -> dict[int, str]:
 
 def read_blocks(place: Place, record: DatasetRecord) -> Index:
     """Read the index of a dataset, each file held to `dataset.json`."""
-    found, older = Index(), record.schema_version <= GHOSTS
+    found = Index()
     for number, stated in stated_blocks(record).items():
         name = f"{place.address}/{block_file(number)}"
         try:
             content = place.read(block_file(number), MOST_INDEX)
-            found.tables[number] = parse_index(content, name, older=older)
+            found.tables[number] = parse_index(content, name)
         except StoreError as error:
             found.faults[number] = str(error)
             continue
-        if not older and hashlib.sha256(content).hexdigest() != stated:
+        if hashlib.sha256(content).hexdigest() != stated:
             found.faults[number] = f"{name} is not the one that dataset.json states"
     if doubled := sum(map(len, found.tables.values())) - joined(found.tables.values())["index"].n_unique():
         found.faults.update(dict.fromkeys(found.tables, f"{place.address}: the index has {doubled} scenes twice"))

@@ -82,11 +82,10 @@ def index_bytes(table: pl.DataFrame) -> bytes:
     return stream.getvalue()
 
 
-def parse_index(content: bytes, name: str, *, older: bool = False) -> pl.DataFrame:
+def parse_index(content: bytes, name: str) -> pl.DataFrame:
     """Understand the content of an `index.parquet`: a row a scene, ordered by scene; `name` is for the error.
 
-    One of an `older` schema may lack columns. Raises `StoreError` where it is damaged, lacks columns, has a scene
-    twice, or holds more than is read.
+    Raises `StoreError` where it is damaged, lacks columns, has a scene twice, or holds more than is read.
     """
     try:
         check_parquet(content)
@@ -94,10 +93,9 @@ def parse_index(content: bytes, name: str, *, older: bool = False) -> pl.DataFra
     except (OSError, ValueError, pl.exceptions.PolarsError) as error:
         reason = (str(error).splitlines() or ["empty"])[0]
         raise StoreError(f"{name} cannot be read: {reason}") from None
-    wanted = {"index": COLUMNS["index"]} if older else COLUMNS
-    if not older and not any(name in table.columns for name in ADDED):
+    if not any(name in table.columns for name in ADDED):
         table = table.with_columns(pl.lit(None, COLUMNS[name][0]).alias(name) for name in ADDED)
-    if wrong := [column for column, (kind, _) in wanted.items() if table.schema.get(column) != kind]:
+    if wrong := [column for column, (kind, _) in COLUMNS.items() if table.schema.get(column) != kind]:
         raise StoreError(f"{name} has no column {wrong[0]!r}, or one of another type")
     numbers = table["index"]
     if numbers.has_nulls() or not (numbers >= 0).all():

@@ -182,12 +182,10 @@ def size_fault(files: Mapping[str, FileEntry], found: Mapping[str, int | None]) 
 def origin_of(source: DatasetSource) -> Origin:
     """Say which dataset this is."""
     record = source.record
-    with source.local("dataset.json") as path:
-        own = getattr(record, "record_sha256", "") or file_sha256(path)
     same = {"renderer": record.renderer, "config": record.config.model_dump(mode="json", exclude={"scenes"})}
     text = json.dumps(same, sort_keys=True)
     digest = hashlib.sha256(text.encode()).hexdigest()
-    return Origin(address=source.address, record_sha256=own, configuration_sha256=digest)
+    return Origin(address=source.address, record_sha256=record.record_sha256, configuration_sha256=digest)
 
 
 def scene_part(source: DatasetSource, index: int) -> ScenePart:

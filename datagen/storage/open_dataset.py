@@ -79,7 +79,7 @@ class DatasetSource:
         """Read a scene's record; raises `StoreError` naming file and reason."""
         with self._remedy_told():
             record = read_record(self.place, index)
-            if (stated := self._hashes.get(index, "")) not in ("", record.record_sha256):
+            if (stated := self._hashes.get(index, record.record_sha256)) != record.record_sha256:
                 raise StoreError(
                     f"{self.address}/{scene_folder(index)}/scene.json is not the one of the index: "
                     f"its hash is {record.record_sha256[:12]}…, not {stated[:12]}…"
@@ -88,8 +88,7 @@ class DatasetSource:
 
     def alone(self, index: int) -> "DatasetSource":
         """Return the dataset with one scene: little to hand to a process, which need not open the whole then."""
-        known = self.table.select(name for name in ("index", "record_sha256") if name in self.table.columns)
-        return replace(self, table=known.filter(pl.col("index") == index))
+        return replace(self, table=self.table.select("index", "record_sha256").filter(pl.col("index") == index))
 
     def scenes(self) -> Iterator[SceneRecord]:
         """Yield the scenes in order, passing over what cannot be read where that was asked for."""
@@ -133,9 +132,7 @@ class DatasetSource:
 
     @cached_property
     def _hashes(self) -> dict[int, str]:
-        """The hashes of the scenes' records by the index, where that has them."""
-        if "record_sha256" not in self.table.columns:
-            return {}
+        """The hashes of the scenes' records by the index."""
         return dict(self.table.select("index", "record_sha256").iter_rows())
 
     @contextlib.contextmanager

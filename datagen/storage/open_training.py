@@ -72,7 +72,7 @@ def open_training(address: str | Path, *, where: str | None = None) -> TrainingS
     if packed:
         with source.local(VISIBLE) as path:
             visible = _read_visible(path)
-    elif "pixels" in source.table.columns and not source.table["pixels"].has_nulls():
+    elif not source.table["pixels"].has_nulls():
         visible = _stated(source.table)
     else:
         visible = _seen_before(source)

@@ -19,8 +19,6 @@ from multilight.scenes.frozen import Frozen, Matrix4
 from multilight.scenes.spec import SceneSpec
 
 SCHEMA_VERSION = 3
-GHOSTS = 2
-"""The schema before 3, still read: it has no hashes of records, and its backgrounds may show removed objects."""
 MOST_VIEWS = 100_000
 MOST_SIDE = 16_384
 """Pixels of a view's longer side."""
@@ -31,7 +29,7 @@ MOST_PIXELS = 1 << 26
 class Schema(Frozen):
     """A record that refuses to be read as another schema version, or where it is not what its own hash says.
 
-    `record_sha256` is the hash of the canonical JSON of all else in the record; empty before schema 3.
+    `record_sha256` is the hash of the canonical JSON of all else in the record.
     """
 
     schema_version: int = SCHEMA_VERSION
@@ -47,15 +45,10 @@ class Schema(Frozen):
         if not isinstance(data, dict):
             return data
         version = data.get("schema_version", SCHEMA_VERSION)
-        if version not in (GHOSTS, SCHEMA_VERSION):
-            raise ValueError(
-                f"schema version {version!r} cannot be read; this program reads {GHOSTS} and {SCHEMA_VERSION}"
-            )
-        if info.mode == "json" and version != GHOSTS and data.get("record_sha256") != record_hash(data):
+        if version != SCHEMA_VERSION:
+            raise ValueError(f"schema version {version!r} cannot be read; this program reads {SCHEMA_VERSION}")
+        if info.mode == "json" and data.get("record_sha256") != record_hash(data):
             raise ValueError("it was changed: it is not what its own hash (record_sha256) says")
-        config = data.get("config")
-        if info.mode == "json" and isinstance(config, dict) and "wild" not in config:  # of version 0.2.0 and before
-            data = data | {"config": config | {"wild": True}}
         return data
 
 
@@ -139,7 +132,6 @@ class SceneRecord(Schema):
     `attempt` counts the draws that were thrown away because a check failed, and `thrown_away` says for each which
     check and why (empty in datasets of version 0.2.0 and before); `denoised` layers are cleaned one by one;
     `conditions` carry metered exposures; `split` says which assets and places the scene could draw from.
-    `preview_sha256` is empty before schema 3.
     """
 
     seed: int
@@ -160,10 +152,7 @@ class SceneRecord(Schema):
 
     @model_validator(mode="after")
     def _hashes_hold(self) -> "SceneRecord":
-        for name, spec, stated in (
-            ("scene", self.scene, self.scene_sha256),
-            ("rig", self.rig, self.rig_sha256),
-        ):
+        for name, spec, stated in (("scene", self.scene, self.scene_sha256), ("rig", self.rig, self.rig_sha256)):
             if spec.sha256() != stated:
                 raise ValueError(f"{name}_sha256 is {stated[:12]}… but the {name} hashes to {spec.sha256()[:12]}…")
         return self
@@ -244,7 +233,6 @@ class DatasetRecord(Schema):
         """
         config = self.config
         wanted: dict[str, object] = {
-            "schema_version": self.schema_version,
             "seed": config.seed,
             "split": config.split_of(record.index),
             "renderer": self.renderer,

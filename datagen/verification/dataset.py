@@ -14,15 +14,11 @@ from multilight.datagen.storage.address import Place, find_place
 from multilight.datagen.storage.blocks import Index, block_file, read_blocks, stated_blocks
 from multilight.datagen.storage.index import ADDED, index_row
 from multilight.datagen.storage.open_dataset import read_record, scene_names, spread
-from multilight.datagen.storage.records import GHOSTS, AssetCredit, DatasetRecord, SceneRecord
+from multilight.datagen.storage.records import AssetCredit, DatasetRecord, SceneRecord
 from multilight.datagen.storage.store import MOST_RECORD, file_sha256, parse_dataset, scene_folder, scene_number
 from multilight.datagen.verification.views import Fault, Lend, verify_views
 
 PREVIEW = "preview.png"
-ANEW = (
-    "pieces of a removed object may stand in the backgrounds of datasets of schema 2: "
-    "make it anew in another folder, it cannot be repaired"
-)
 Result = tuple[int | None, list[Fault]]
 """What was found in a scene, or in the dataset as a whole (None)."""
 
@@ -58,11 +54,11 @@ class _Rows:
         block, place = self.places[record.index]
         table = self.index.tables[block]
         row = table.row(place, named=True)
-        if block not in self.index.faults and row.get("record_sha256") == record.record_sha256:
+        if block not in self.index.faults and row["record_sha256"] == record.record_sha256:
             return
         wanted = index_row(record)
-        new = {name for name in ADDED if name in row and row[name] is None}
-        if wrong := [name for name in wanted if name in row and row[name] != wanted[name] and name not in new]:
+        new = {name for name in ADDED if row[name] is None}
+        if wrong := [name for name in wanted if row[name] != wanted[name] and name not in new]:
             yield f"index.parquet states another {', '.join(wrong)} than scene.json"
 
 
@@ -89,16 +85,8 @@ def verify_dataset(
 
 
 def _results(
-    place: Place,
-    record: DatasetRecord | None,
-    faults: list[Fault],
-    report: Report,
-    *,
-    quick: bool,
-    sample: int | None,
+    place: Place, record: DatasetRecord | None, faults: list[Fault], report: Report, *, quick: bool, sample: int | None
 ) -> Iterator[Result]:
-    if record is not None and record.schema_version <= GHOSTS:
-        faults.append(_of_all(ANEW))
     rows = _read_index(place, record, faults)
     scenes = _scenes(place, record, rows, faults)
     yield None, faults
@@ -195,7 +183,7 @@ def _read_index(place: Place, record: DatasetRecord | None, faults: list[Fault])
     index = read_blocks(place, record)
     told = [message.removeprefix(f"{place.address}/") for message in index.faults.values()]
     count = sum(map(len, index.tables.values()))
-    if not told and record.schema_version > GHOSTS and record.index_rows != count:
+    if not told and record.index_rows != count:
         told.append(f"index.parquet has {count} rows, dataset.json states {record.index_rows}")
     if place.is_local:
         there = {f"index/{name}" for name in place.names("index") or ()}
@@ -203,7 +191,7 @@ def _read_index(place: Place, record: DatasetRecord | None, faults: list[Fault])
         told += [f"{name} is no file of this dataset; remove it" for name in strays]
     thrown: Counter[str] = Counter()
     for table in index.tables.values() if not told else ():
-        thrown.update(table["thrown_away"].explode().drop_nulls() if "thrown_away" in table.columns else ())
+        thrown.update(table["thrown_away"].explode().drop_nulls())
     if not told and record.thrown_away != thrown:
         told.append("dataset.json counts other draws that were thrown away than its scenes")
     faults += [Fault(None, None, "index", message) for message in told]

@@ -14,14 +14,7 @@ from multilight.datagen.errors import StoreError, UserError
 from multilight.datagen.storage.open_dataset import DatasetSource
 from multilight.datagen.storage.store import scene_folder
 from multilight.datagen.text import plain
-from multilight.datagen.view.content import (
-    PREVIEW,
-    ViewFiles,
-    dataset_json,
-    preview,
-    scene_json,
-    view_folder,
-)
+from multilight.datagen.view.content import PREVIEW, ViewFiles, dataset_json, preview, scene_json, view_folder
 
 SITE = Path(__file__).parent / "site"
 """The page, as `make web` builds it of `web/`."""

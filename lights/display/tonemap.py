@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from multilight.scenes.arrays import Float32, Mask, UInt8
+from multilight.scenes.arrays import Float32, UInt8
 from multilight.scenes.colour import luminance, srgb_encode
 
 MIDDLE_GREY = 0.18
@@ -45,15 +45,14 @@ def to_display(radiance: ArrayLike, exposure_ev: float = 0.0) -> UInt8:
     return np.rint(srgb_encode(tone_curve(exposed)) * 255.0).astype(np.uint8)
 
 
-def meter_ev(radiance: ArrayLike, mask: Mask | None = None) -> float:
+def meter_ev(radiance: ArrayLike) -> float:
     """Return the exposure in EV that brings a picture's key to middle grey.
 
-    The key is the log-mean luminance of radiance (..., 3) over the lit pixels of `mask` (all, unless told), each
-    held within the 5th and 95th percentile, so that a lamp or a black corner does not decide. Where highlights
-    would still be lost, the exposure is lowered, by two stops at most. A picture without a lit pixel meters 0.
+    The key is the log-mean luminance of radiance (..., 3) over the lit pixels, each held within the 5th and 95th
+    percentile, so that a lamp or a black corner does not decide. Where highlights would still be lost, the exposure is
+    lowered, by two stops at most. A picture without a lit pixel meters 0.
     """
-    values = luminance(np.asarray(radiance, np.float64))
-    values = values[mask] if mask is not None else values.ravel()
+    values = luminance(np.asarray(radiance, np.float64)).ravel()
     values = values[np.isfinite(values) & (values > 0.0)]
     if values.size == 0:
         return 0.0

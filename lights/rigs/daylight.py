@@ -31,10 +31,7 @@ def sun_and_sky(azimuth: float, elevation: float, turbidity: float) -> tuple[Sun
     height, haze = sky_parameters(name)
     beam = [watts_from_photometric(1000.0 * klx) for klx in sun_illuminance(elevation=height, turbidity=haze)]
     sun = SunLight(
-        name="sun",
-        direction=triple(-direction_from(azimuth, height)),
-        irradiance=triple(beam),
-        angle=SUN_ANGLE,
+        name="sun", direction=triple(-direction_from(azimuth, height)), irradiance=triple(beam), angle=SUN_ANGLE
     )
     return sun, _sky(name, azimuth)
 

@@ -57,11 +57,7 @@ def with_own_glow(rig: LightRig, scene: SceneSpec) -> LightRig:
 
 
 def _rig(
-    streams: Streams,
-    scene: SceneSpec,
-    library: AssetLibrary,
-    kinds: tuple[LightKind, ...],
-    lights: tuple[int, int],
+    streams: Streams, scene: SceneSpec, library: AssetLibrary, kinds: tuple[LightKind, ...], lights: tuple[int, int]
 ) -> LightRig:
     if scene.kind == "room":
         return room_rig(streams, scene, library, lights=lights)

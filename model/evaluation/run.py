@@ -115,11 +115,7 @@ def on_case(harmonizer: Harmonizer) -> Method:
 
 
 def evaluate(
-    groups: Sequence[LazyGroup],
-    methods: Mapping[str, Method],
-    *,
-    lpips: Lpips | None = None,
-    report: Report = silent,
+    groups: Sequence[LazyGroup], methods: Mapping[str, Method], *, lpips: Lpips | None = None, report: Report = silent
 ) -> Evaluation:
     """Harmonize every case with every method and compare with the truth; `report` is told (done, total) groups."""
     found = Evaluation(tuple(methods), megabytes=dict.fromkeys(methods, 0.0))

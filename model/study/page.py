@@ -78,9 +78,7 @@ def write_study(request: StudyRequest, out: Path) -> Key:
         methods = (str(request.first), str(request.second))
     key = Key(study=digest.hexdigest()[:16], methods=methods, pairs=tuple(names), swapped=swapped)
     page = render_page(
-        Path(__file__).with_name("page.html.jinja"),
-        title=request.question,
-        study={"study": key.study, "pairs": pairs},
+        Path(__file__).with_name("page.html.jinja"), title=request.question, study={"study": key.study, "pairs": pairs}
     )
     with written(out) as work:
         work.write_text(page, encoding="utf-8")

@@ -84,17 +84,16 @@ def read_kept(path: Path, read: Callable[[Path], T]) -> T | None:
         return None
 
 
-def is_sound(path: Path, check: Callable[[Path], object] | None = None) -> bool:
-    """Tell whether a file of the cache is there and whole; a damaged one is thrown away.
+def is_sound(path: Path) -> bool:
+    """Tell whether a picture or map of the cache is there and whole; a damaged one is thrown away.
 
-    `check` raises an error for a damaged one; without it, the sums of a PNG are held to its content, other pictures
-    and EXR maps are decoded, once in each process.
+    The sums of a PNG are held to its content, other pictures and EXR maps are decoded, once in each process.
     """
     if not path.exists():
         return False
     if path in _sound:
         return True
-    check = check or {".exr": _check_map}.get(path.suffix, _check_picture)
+    check = {".exr": _check_map}.get(path.suffix, _check_picture)
     if read_kept(path, lambda file: (check(file),)) is None:
         return False
     _sound.add(path)

@@ -153,10 +153,7 @@ class Bench:
         self._started += 1
         name = f"{self._started}"
         process = self._context.Process(
-            target=drive,
-            args=(root, self.config, name, shard, lease, self.folder),
-            name=name,
-            daemon=True,
+            target=drive, args=(root, self.config, name, shard, lease, self.folder), name=name, daemon=True
         )
         process.start()
         return process
@@ -290,10 +287,7 @@ def disturbed(folder: Path, seed: int, kills: int, scenes: int = 24) -> Bench:
     return bench
 
 
-def main(
-    seeds: tyro.conf.Positional[tuple[int, ...]],
-    kills: int = 300,
-) -> int:
+def main(seeds: tyro.conf.Positional[tuple[int, ...]], kills: int = 300) -> int:
     """Disturb drivers and return the exit code: 1 where something was wrong.
 
     Args:

@@ -41,11 +41,7 @@ def truth() -> Stacks:
         foregrounds = {name: render(f"foreground_{name}") for name in scene.insertable}
         coverages = {name: stack.coverage for name, stack in foregrounds.items() if stack.coverage is not None}
         largest = max(coverages, key=lambda name: float(coverages[name].sum()))
-        stacks = {
-            "all": render("all"),
-            "without": render(f"without_{largest}"),
-            "foreground": foregrounds[largest],
-        }
+        stacks = {"all": render("all"), "without": render(f"without_{largest}"), "foreground": foregrounds[largest]}
     geometry = stacks["all"].geometry
     assert geometry is not None
     albedo, normal = geometry.albedo, geometry.normal_world

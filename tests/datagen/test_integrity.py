@@ -452,44 +452,6 @@ def test_a_packed_copy_is_not_continued(spheres_dataset: Path, tmp_path: Path) -
     assert contents(packed) == before
 
 
-@pytest.fixture
-def older(spheres_copy: Path) -> Path:
-    """A dataset as schema 2 had it: no hashes of records, none of the index."""
-    for path in spheres_copy.glob("scenes/*/scene.json"):
-        record = json.loads(path.read_text()) | {"schema_version": 2}
-        path.write_text(json.dumps({k: v for k, v in record.items() if k not in ("record_sha256", "preview_sha256")}))
-    record = json.loads((spheres_copy / "dataset.json").read_text()) | {"schema_version": 2}
-    for key in ("record_sha256", "index_sha256", "index_rows"):
-        del record[key]
-    (spheres_copy / "dataset.json").write_text(json.dumps(record))
-    index_with(lambda table: table.drop("record_sha256"))(spheres_copy)
-    return spheres_copy
-
-
-def test_older_datasets_are_read_and_flagged(older: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    assert run("sheet", older, "--out", tmp_path / "sheet.png") == 0
-    assert run("query", older, "kind = 'spheres'") == 0
-    assert capsys.readouterr().err == ""
-    assert run("verify", older) == 1
-    shown = capsys.readouterr().out
-    assert "schema 2, multilight" in shown
-    assert "make it anew in another folder" in shown
-    assert "is made anew by" not in shown
-    assert [line for line in told(older) if "make it anew" not in line] == []
-
-
-@pytest.mark.parametrize("words", [("--repair",), (), ("--scenes", "3"), ("--scenes", "2", *SPHERES)])
-def test_older_datasets_are_not_continued(
-    older: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...]
-) -> None:
-    before = contents(older)
-    assert run("dataset", "--out", older, *words) == 1
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
-    assert "make it anew in another folder" in error
-    assert contents(older) == before
-
-
 def record_of(root: Path) -> SceneRecord:
     return read_scene(root / S0)
 

@@ -12,13 +12,7 @@ from multilight.datagen.backends.analytic import AnalyticBackend
 from multilight.datagen.backends.protocol import RenderJob, RenderSettings
 from multilight.lights.spec import EmissiveLight, EnvironmentLight, LightRig
 from multilight.scenes.assets.library import AssetLibrary
-from multilight.scenes.cameras.paths import (
-    CameraSettings,
-    Framing,
-    TrajectoryShares,
-    camera_on,
-    draw_path,
-)
+from multilight.scenes.cameras.paths import CameraSettings, Framing, TrajectoryShares, camera_on, draw_path
 from multilight.scenes.cameras.pinhole import (
     camera_from_fov,
     camera_from_lens,

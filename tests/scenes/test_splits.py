@@ -25,7 +25,7 @@ from multilight.scenes.assets.splits import (
 from multilight.scenes.random_streams import Streams
 from multilight.scenes.still_life.selection import INSERTABLE, LARGEST, SMALL, SMALLEST, TALL, THIN
 
-SCENES = 32
+SCENES = 16
 
 
 @pytest.fixture(scope="module")

@@ -175,14 +175,11 @@ def test_json_round_trip(scenes: list[SceneSpec]) -> None:
         assert SceneSpec.from_json(scene.canonical_json()) == scene
 
 
-@pytest.mark.slow
-def test_emissive_share_is_about_a_third(library: AssetLibrary) -> None:
-    settings = StillLifeSettings(width=64, height=64, views=2)
-    drawn = [sample_tabletop(Streams(9, i), library, index=i, settings=settings) for i in range(30)]
-    glowing = [emissive_candidate(scene) for scene in drawn]
-    # 30 draws at 1/3: outside 3..17 with a chance below one in two thousand; the seed is fixed.
-    assert 3 <= sum(found is not None for found in glowing) <= 17
-    for scene, found in zip(drawn, glowing, strict=True):
+def test_emissive_share_is_about_a_third(scenes: list[SceneSpec], library: AssetLibrary) -> None:
+    glowing = [emissive_candidate(scene) for scene in scenes]
+    # 20 draws at 1/3: outside 2..12 with a chance of one in two hundred; the seed is fixed.
+    assert 2 <= sum(found is not None for found in glowing) <= 12
+    for scene, found in zip(scenes, glowing, strict=True):
         if found is not None:
             assert library.info(scene.body(found[0]).geometry.asset).emissive_part
 

@@ -71,11 +71,7 @@ class MitsubaBackend:
         layers = film.take((action, name or ""))
         albedo, normal = film.take(("guides", name)) if name and action == "without" else film.mean(("guides", ""))
         stack = LayerStack(
-            lights=job.rig.names,
-            radiance=layers,
-            combined=layers.sum(axis=0),
-            guide_albedo=albedo,
-            guide_normal=normal,
+            lights=job.rig.names, radiance=layers, combined=layers.sum(axis=0), guide_albedo=albedo, guide_normal=normal
         )
         if name is None:
             uncovered = film.mean(("uncovered", ""))[0, ..., 0]

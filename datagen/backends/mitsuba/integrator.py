@@ -211,11 +211,7 @@ def trace(world: World, ray: mi.Ray3f, sampler: Sampler, *, max_bounces: int) ->
         origin=mi.Point3f(ray.o),
         sampler=sampler,
         result=PathResult(
-            met=mi.UInt32(0),
-            first=mi.UInt32(0),
-            covered=mi.Bool(False),
-            steps=mi.UInt32(0),
-            seen=mi.UInt32(0),
+            met=mi.UInt32(0), first=mi.UInt32(0), covered=mi.Bool(False), steps=mi.UInt32(0), seen=mi.UInt32(0)
         ),
     )
 

@@ -18,15 +18,7 @@ from multilight.datagen.backends.mitsuba.arrays import NONE, SceneArrays
 from multilight.datagen.backends.mitsuba.device import Row, Table, on_device
 from multilight.datagen.backends.mitsuba.surfaces import Surfaces
 from multilight.lights.photometry.directions import spot_frame
-from multilight.lights.spec import (
-    AreaLight,
-    EmissiveLight,
-    EnvironmentLight,
-    LightRig,
-    PointLight,
-    SpotLight,
-    SunLight,
-)
+from multilight.lights.spec import AreaLight, EmissiveLight, EnvironmentLight, LightRig, PointLight, SpotLight, SunLight
 from multilight.scenes.arrays import Float32, UInt32
 from multilight.scenes.assets.environments import read_environment
 from multilight.scenes.assets.library import AssetLibrary

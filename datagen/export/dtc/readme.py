@@ -32,9 +32,6 @@ def write_readme(out: Path, address: str, records: Sequence[SceneRecord]) -> Non
     credits = [credit for record in records for credit in record.assets]
     train = sum(record.split == "train" for record in records)
     text = TEXT.format(
-        address=markdown(address),
-        train=train,
-        rest=len(records) - train,
-        credits="\n".join(credit_lines(credits)),
+        address=markdown(address), train=train, rest=len(records) - train, credits="\n".join(credit_lines(credits))
     )
     write_text(out / "README.md", text)

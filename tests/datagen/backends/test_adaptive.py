@@ -190,9 +190,8 @@ def test_few_samples_are_not_shared_out() -> None:
 
 
 @pytest.fixture(scope="module")
-def backend(tmp_path_factory: pytest.TempPathFactory) -> Iterator[MitsubaBackend]:
-    library = AssetLibrary(cache=tmp_path_factory.mktemp("cache"), packs=("builtin",))
-    with open_backend("mitsuba", library) as opened:
+def backend() -> Iterator[MitsubaBackend]:
+    with open_backend("mitsuba", AssetLibrary(packs=("builtin",))) as opened:
         assert isinstance(opened, MitsubaBackend)
         yield opened
 

@@ -48,8 +48,12 @@ CLIP = 0.999
 
 
 @pytest.fixture(scope="module")
-def renderers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Backend, Backend]]:
-    library = AssetLibrary(cache=tmp_path_factory.mktemp("cache"), packs=("builtin",))
+def library() -> AssetLibrary:
+    return AssetLibrary(packs=("builtin",))
+
+
+@pytest.fixture(scope="module")
+def renderers(library: AssetLibrary) -> Iterator[tuple[Backend, Backend]]:
     with open_backend("mitsuba", library) as mitsuba, open_backend("cycles", library) as cycles:
         yield mitsuba, cycles
 
@@ -152,10 +156,11 @@ def _same_geometry(ours: GeometryBuffers | None, theirs: GeometryBuffers | None)
 
 
 @pytest.mark.parametrize("seed", [1, 4])
-def test_sampled_tabletops(renderers: tuple[Backend, Backend], seed: int, tmp_path: Path) -> None:
+def test_sampled_tabletops(
+    renderers: tuple[Backend, Backend], library: AssetLibrary, seed: int, tmp_path: Path
+) -> None:
     """Whole scenes, denoised, so that what is left is not noise."""
-    library = AssetLibrary(cache=tmp_path / "cache", packs=("builtin",))
-    config = DatasetConfig(seed=seed, width=96, height=96, views=4)
+    config = DatasetConfig(seed=seed, width=64, height=64, views=4)
     scene, rig = sample_scene(config, library, Streams(seed, 0))
     job = RenderJob(scene, rig, RenderSettings(spp=SAMPLED_SPP, threads=2), 2)
     ours, theirs = (denoise_all(backend.render(job), threads=2) for backend in renderers)

@@ -60,13 +60,12 @@ class Subject:
 
 
 @pytest.fixture(scope="module", params=sorted(TOLERANCES))
-def subject(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Subject]:
+def subject(request: pytest.FixtureRequest) -> Iterator[Subject]:
     if request.param == "cycles" and importlib.util.find_spec("bpy") is None:
         pytest.skip("the package bpy is not installed")
     if request.param == "mitsuba" and choose_variant().variant is None:
         pytest.skip(f"Mitsuba cannot run here: {choose_variant().why}")
-    library = AssetLibrary(cache=tmp_path_factory.mktemp("cache"))
-    with open_backend(request.param, library) as backend:
+    with open_backend(request.param, AssetLibrary(packs=("builtin",))) as backend:
         yield Subject(request.param, backend)
 
 

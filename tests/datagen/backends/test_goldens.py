@@ -27,9 +27,8 @@ WILD = 4.0
 
 
 @pytest.fixture(scope="module", params=BACKENDS)
-def backend(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Backend]:
-    library = AssetLibrary(cache=tmp_path_factory.mktemp("cache"), packs=("builtin",))
-    with open_backend(request.param, library) as opened:
+def backend(request: pytest.FixtureRequest) -> Iterator[Backend]:
+    with open_backend(request.param, AssetLibrary(packs=("builtin",))) as opened:
         yield opened
 
 

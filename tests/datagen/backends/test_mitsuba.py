@@ -49,8 +49,8 @@ WHITE = (1.0, 1.0, 1.0)
 
 
 @pytest.fixture(scope="module")
-def library(tmp_path_factory: pytest.TempPathFactory) -> AssetLibrary:
-    return AssetLibrary(cache=tmp_path_factory.mktemp("cache"))
+def library() -> AssetLibrary:
+    return AssetLibrary(packs=("builtin",))
 
 
 @pytest.fixture(scope="module")
