@@ -5,6 +5,7 @@ the index says which objects can be seen where, and `manifest.json` (`datagen.st
 its hash.
 """
 
+import hashlib
 import shutil
 from dataclasses import dataclass
 from functools import partial
@@ -21,7 +22,7 @@ from multilight.datagen.storage.manifest import FileEntry
 from multilight.datagen.storage.open_dataset import DatasetSource, open_dataset
 from multilight.datagen.storage.open_training import VISIBLE, packed_file, visible_rows
 from multilight.datagen.storage.packed import PackedView, pack_view, read_packed, value_fault, write_packed
-from multilight.datagen.storage.store import ViewData, scene_folder
+from multilight.datagen.storage.store import ViewData, scene_folder, write_text
 from multilight.scenes.files.atomic import write_whole
 
 
@@ -84,9 +85,15 @@ def _finish(source: DatasetSource, copy: Copy, made: int) -> Packed:
             path = copy.root / packed_file(record.index, number)
             rows += visible_rows(record, number, read_packed(path))
             views, native, packed = views + 1, native + view.bytes, packed + path.stat().st_size
-    _copy(source, "dataset.json", copy.root)
+    content = index_bytes(source.table)  # as it was read: the file may be damaged, or not there yet, or be several
+    stated = {"index_sha256": hashlib.sha256(content).hexdigest(), "index_more": (), "index_rows": len(source.indices)}
+    if stated == source.record.model_dump(include=set(stated)):
+        _copy(source, "dataset.json", copy.root)
+    else:
+        record = source.record.model_copy(update=stated).sealed()
+        write_text(copy.root / "dataset.json", record.model_dump_json(indent=1))
     with write_whole(copy.root / "index.parquet") as work:
-        work.write_bytes(index_bytes(source.table))  # as it was read: the file may be damaged, or not there yet
+        work.write_bytes(content)
     with write_whole(copy.root / VISIBLE) as work:
         pl.DataFrame(rows).write_parquet(work)
     copy.finish("dataset.json", "index.parquet", VISIBLE)

@@ -1,7 +1,7 @@
 """The typed configuration of the 2D network and of its training; imports no torch."""
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field, model_validator
 
@@ -10,6 +10,9 @@ from multilight.scenes.frozen import Settings, UnitFloat
 Head = Literal["light", "gain", "residual", "direct"]
 Lighting = Literal["random", "wild", "stored"]
 Input = Literal["background", "depth"]
+Fault = Literal["no depth", "depth with holes", "affine depth", "noisy depth", "guessed depth", "misplaced", "scaled"]
+FAULTS: tuple[Fault, ...] = get_args(Fault)
+"""What users' inputs have wrong; simulated by `data.faults`."""
 Positive = Annotated[float, Field(gt=0)]
 
 
@@ -68,6 +71,8 @@ class DataConfig(Settings):
     colours), or two of the scene's stored conditions."""
     augment: bool = True
     """Vary exposure, white balance, camera response, crop and direction."""
+    faults: UnitFloat = 0.3
+    """Probability that a sample's depth is missing, wrong or guessed, or its object misplaced; of augmented ones."""
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     """Seed of the samples."""
     workers: Annotated[int, Field(ge=0, le=256)] = 1
@@ -81,18 +86,19 @@ class DataConfig(Settings):
 
 
 class LossConfig(Settings):
-    """What is minimized: effect-weighted error of the pixels + `perceptual` times a distance."""
+    """What is minimized: an error of the pixels + `perceptual` times a distance."""
 
     pixels: Literal["mse", "log"] = "log"
-    """`mse`: mean squared error. `log`: its logarithm picture by picture, which is the mean PSNR, up to 30 dB."""
+    """`mse`: mean squared error, as published. `log`: the logarithm of that on the object and its effect, picture by
+    picture, which is the mean PSNR there, up to 30 dB."""
     perceptual: Annotated[float, Field(ge=0, le=100)] = 0.05
     """Weight of the perceptual distance."""
     vgg: Path | None = None
     """VGG19 weights (torchvision .pth or MatConvNet .mat); without: a stand-in, gradients and SSIM."""
     lights: Annotated[float, Field(ge=0, le=1)] = 1e-3
     """Weight of how far guessed lights are from the true ones, of a head that guesses them."""
-    far: Positive = 0.5
-    """Weight of a pixel that the object does not change, against 1 on the object."""
+    far: Positive = 3.0
+    """Of `log`: weight of the mean error elsewhere, against 1 of that on the object and its effect."""
 
 
 class StageConfig(Settings):

@@ -14,6 +14,9 @@ EXPOSURE, WHITE_BALANCE = 0.5, 0.12
 """Ranges: exposure in EV; white balance as the natural logarithm of the red and blue gains against green."""
 RESPONSE, RESPONSE_COLOUR = 0.2, 0.04
 """Largest departure of a camera's response curve from the plain one, of all channels and of each."""
+PAINT, PAINT_COLOUR, PAINTED = 0.35, 0.15, (0.4, 1.8)
+"""Standard deviations of the logarithm of an object's new colour over its old one, of all channels and of each, and its
+range: what a light did to an object must not be read off what object it is."""
 SMALLEST_CROP = 0.6
 """Smallest side of a crop against the picture's shorter side."""
 
@@ -50,6 +53,14 @@ def draw_camera(rng: np.random.Generator) -> CameraResponse:
     gain = 2.0 ** rng.uniform(-EXPOSURE, EXPOSURE) * np.exp([balance[0], 0.0, balance[1]])
     bend = rng.uniform(-RESPONSE, RESPONSE, (2, 1)) + rng.uniform(-RESPONSE_COLOUR, RESPONSE_COLOUR, (2, 3))
     return CameraResponse(gain.astype(np.float32), bend.astype(np.float32))
+
+
+def draw_paint(rng: np.random.Generator) -> Float32:
+    """Draw what an object's colour is multiplied by in red, green and blue, (3,): its own three times in ten."""
+    if rng.random() < 0.3:
+        return np.ones(3, np.float32)
+    paint = np.exp(rng.normal(0.0, PAINT) + rng.normal(0.0, PAINT_COLOUR, 3))
+    return np.clip(paint, *PAINTED).astype(np.float32)
 
 
 def respond(encoded: Tensor, camera: CameraResponse) -> Tensor:

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 import polars as pl
@@ -15,24 +15,34 @@ from multilight.datagen.storage.open_training import open_training
 from multilight.datagen.storage.packed import PackedView
 from multilight.model.data.augment import (
     PLAIN,
+    CameraResponse,
     Crop,
     centre_crop,
     cropped,
     cropped_camera,
     draw_camera,
     draw_crop,
+    draw_paint,
     resize,
 )
+from multilight.model.data.faults import Placement, draw_placement, misplaced_tuple, wrong_depth
 from multilight.model.data.lighting import light_fractions, lit_conditions, tints
 from multilight.model.data.lights import LEAST, SceneLights, read_lights
-from multilight.model.data.mixing import Pictures, mix_tuple
+from multilight.model.data.mixing import UNPAINTED, Pictures, mix_tuple
 from multilight.model.data.plan import Draw, Plan, places_of
-from multilight.model.data.settings import SampleSettings
+from multilight.model.data.settings import RIGHT, SampleSettings
+from multilight.scenes.arrays import Float32
 
 Sample = dict[str, Any]
 """Tensors and `meta`, as `MultiLightDataset` describes them."""
-RIGHT = 0.1
-"""Probability, where samples are augmented, that the object is lit rightly already, so that leaving alone is learnt."""
+
+
+class Lit(TypedDict):
+    """How a tuple is lit and taken: (L, 3) linear gains of the object, and of all else, and the camera."""
+
+    insert: Float32
+    base: Float32
+    camera: CameraResponse
 
 
 class MultiLightDataset(Dataset[Sample]):
@@ -42,7 +52,7 @@ class MultiLightDataset(Dataset[Sample]):
 
         composite, background, target  (3, S, S)  display-encoded sRGB in [0, 1]
         effect   (3, S, S)  target - background, signed
-        depth    (1, S, S)  z_depth over the largest of the group; 1 where there is nothing
+        depth    (1, S, S)  z_depth over the largest of the group; 1 where there is nothing; with `faults`, wrong
         z_depth  (1, S, S)  metres along the optical axis; 0 where there is nothing
         mask     (1, S, S)  the object's coverage of the pixel in [0, 1]
         K        (3, 3)     pixels, pixel centres at (x + 0.5, y + 0.5)
@@ -169,13 +179,19 @@ def make_samples(
         insert[own] = base[own]  # its glow is the object's own, and stays
     else:
         insert, base = (views[0].conditions[number] for number in draw.conditions)
-    if settings.augment and rng.random() < RIGHT:
+    right = settings.right if settings.right is not None else RIGHT * settings.augment
+    if right and rng.random() < right:
         insert = base
     camera = draw_camera(rng) if settings.augment else PLAIN
     mirrored = bool(settings.augment and rng.random() < 0.5)
+    faulty, painter = rng.spawn(2)  # of their own, so that samples without a fault are as they were
+    paint = draw_paint(painter) if settings.augment else UNPAINTED
+    faults = faulty.random() < settings.faults
+    fault = settings.kinds[faulty.integers(len(settings.kinds))] if faults else None
+    lit: Lit = {"insert": insert, "base": base, "camera": camera}
     result = []
     for view in views:
-        pictures = mix_tuple(view, draw.place.object, insert=insert, base=base, camera=camera)
+        pictures = _mixed(view, draw.place.object, draw_placement(faulty, fault), paint, lit)
         crop = centre_crop(*view.z_depth.shape)
         if settings.augment:
             crop = draw_crop(rng, pictures.mask[0].numpy(), mirrored=mirrored)
@@ -190,7 +206,14 @@ def make_samples(
         sample |= common | lights.seen(view.c2w, draw.place.object, mirrored=mirrored)
         nothing = (sample["z_depth"] <= 0).float()
         sample["depth"] = sample["z_depth"].div(max(largest, 1e-6)).add_(nothing)
+        if fault:
+            sample["depth"] = wrong_depth(sample["depth"], fault, faulty)
     return result
+
+
+def _mixed(view: PackedView, name: str, place: Placement | None, paint: Float32, lit: Lit) -> Pictures:
+    """Mix an object's tuple, repainted and where it is, or pasted at `place` as it is."""
+    return mix_tuple(view, name, paint=paint, **lit) if place is None else misplaced_tuple(view, name, place, **lit)
 
 
 def cropped_sample(view: PackedView, pictures: Pictures, crop: Crop, size: int) -> dict[str, Tensor]:

@@ -24,15 +24,19 @@ class Pictures:
     mask: Tensor
 
 
+UNPAINTED = np.ones(3, np.float32)
 SHOULDER, FADE = 0.6, 0.15  # as in `lights.display.tonemap.tone_curve`
 STEPS = 1 << 14  # of the square root of radiance, in the table of display values
 
 
-def mix_tuple(view: PackedView, name: str, *, insert: Float32, base: Float32, camera: CameraResponse) -> Pictures:
+def mix_tuple(
+    view: PackedView, name: str, *, insert: Float32, base: Float32, camera: CameraResponse, paint: Float32 = UNPAINTED
+) -> Pictures:
     """Mix the tuple of object `name`; `insert` and `base` are (L, 3) linear gains.
 
     As `datagen.tuples.compose` does, but the background is worked out only in tiles where it differs from the target,
-    the composite only in those where the object covers something.
+    the composite only in those where the object covers something. The object's light is multiplied by `paint` (3,)
+    under either lighting; what its surroundings reflect of it is not.
     """
     number, layers = view.objects.index(name), _Layers(view)
     insert, base = insert * camera.gain, base * camera.gain
@@ -44,7 +48,10 @@ def mix_tuple(view: PackedView, name: str, *, insert: Float32, base: Float32, ca
     pasted = target[torch.from_numpy(covered)]
     _, here, there = np.intersect1d(covered, changed, assume_unique=True, return_indices=True)
     pasted[torch.from_numpy(here)] = behind[torch.from_numpy(there)]
-    pasted.mul_(1.0 - alpha).add_(layers.mixed_tiles(view.foreground[number], insert, covered))
+    pasted.mul_(1.0 - alpha).add_(layers.mixed_tiles(view.foreground[number], insert * paint, covered))
+    if (paint != 1.0).any():
+        repainted = layers.mixed_tiles(view.foreground[number], base * (paint - 1.0), covered)
+        target.index_add_(0, torch.from_numpy(covered), repainted)
 
     shown, parts = develop(target, camera), develop(torch.cat((behind, pasted)), camera)
     background = shown.index_copy(0, torch.from_numpy(changed), parts[: len(changed)])

@@ -7,9 +7,11 @@ from typing import get_args
 
 from multilight.datagen.errors import UserError
 from multilight.datagen.text import did_you_mean
-from multilight.model.configs.stage2d import Lighting
+from multilight.model.configs.stage2d import FAULTS, Fault, Lighting
 from multilight.scenes.assets.splits import Split
 
+RIGHT = 0.1
+"""Probability, where samples are augmented, that the object is lit rightly already, so that leaving alone is learnt."""
 MOST_ENLARGED = 6
 """Times that pictures are enlarged at most; more is a slip of the pen, and fills the memory."""
 
@@ -23,7 +25,9 @@ class SampleSettings:
     `lighting` "random" draws gains and colours anew, such as the dataset's own conditions have, and meters them; "wild"
     does so in saturated colours, whatever the dataset is; "stored" takes two of the scene's own conditions.
     `augment` varies exposure, white balance, camera response, crop and direction. Objects that cover fewer than
-    `visible` pixels of a view are passed over. With `repeat` an epoch may be longer than there are different tuples.
+    `visible` pixels of a view are passed over. `right` is the probability that the object is lit rightly already (None:
+    `RIGHT` where samples are augmented, else 0). With a probability of `faults` a sample has one of the faults `kinds`,
+    as users' inputs have. With `repeat` an epoch may be longer than there are different tuples.
     """
 
     size: int = 256
@@ -35,6 +39,9 @@ class SampleSettings:
     length: int = 1000
     augment: bool = True
     visible: float = 30.0
+    right: float | None = None
+    faults: float = 0.0
+    kinds: tuple[Fault, ...] = FAULTS
     repeat: bool = False
 
     def __post_init__(self) -> None:
@@ -46,6 +53,10 @@ class SampleSettings:
             raise UserError(f"seed {self.seed} must be 0 or more")
         if not 0 <= self.visible < math.inf:
             raise UserError(f"visible {self.visible} must be a number of pixels, 0 or more")
+        for name in ("right", "faults"):
+            value = getattr(self, name)
+            if value is not None and not 0.0 <= value <= 1.0:
+                raise UserError(f"{name} {value} must be a probability, from 0 to 1")
         choices = {"split": (*get_args(Split), None), "lighting": get_args(Lighting)}
         for name, known in choices.items():
             value = getattr(self, name)

@@ -13,6 +13,7 @@ from multilight.datagen.storage.open_training import open_training
 from multilight.datagen.storage.records import SceneRecord
 from multilight.lights.photometry.angular_size import angular_diameter
 from multilight.lights.spec import EmissiveLight
+from multilight.model.configs.stage2d import FAULTS
 from multilight.model.data.dataset import MultiLightDataset, make_samples
 from multilight.model.data.settings import SampleSettings
 from multilight.model.evaluation.settings import CaseSettings
@@ -26,6 +27,8 @@ MOST_VIEWS = 4
 """Views of a scene that are shown under one lighting."""
 HARD = np.radians(3.0)
 """A light of a smaller angular diameter throws shadows with hard edges: a penumbra below a twentieth of the height."""
+VARIANT, RIGHTLY = "with: ", "light that is right"
+"""How subsets begin whose pictures are others made over, and the name of the one that needs no new light."""
 DOMINANT = 0.5
 """Least fraction of the picture's light that a small light must give for its shadows to be seen."""
 
@@ -74,9 +77,15 @@ def dataset_groups(address: str | Path, settings: CaseSettings, where: str | Non
     """
     found: list[LazyGroup] = []
     reasons = []
+    variants: dict[str, dict[str, Any]] = {}
+    if settings.variants:
+        variants = {RIGHTLY: {"right": 1.0}} | {fault: {"faults": 1.0, "kinds": (fault,)} for fault in FAULTS}
     for split in settings.splits:
         try:
             found += _split_groups(address, split, settings, where)
+            for name, values in variants.items():
+                groups = _split_groups(address, split, settings, where, **values)
+                found += [with_subset(group, f"{VARIANT}{name}", alone=True) for group in groups]
         except UserError as error:
             reasons.append(str(error))
     if not found:
@@ -84,20 +93,23 @@ def dataset_groups(address: str | Path, settings: CaseSettings, where: str | Non
     return found
 
 
-def with_subset(load: LazyGroup, name: str) -> LazyGroup:
-    """Let a group count in one more subset."""
+def with_subset(load: LazyGroup, name: str, *, alone: bool = False) -> LazyGroup:
+    """Let a group count in one more subset, or in that `alone`."""
 
     def named() -> Group:
         group = load()
-        return replace(group, subsets=(*group.subsets, name))
+        return replace(group, subsets=(name,) if alone else (*group.subsets, name))
 
     return named
 
 
-def _split_groups(address: str | Path, split: Split, settings: CaseSettings, where: str | None) -> list[LazyGroup]:
+def _split_groups(
+    address: str | Path, split: Split, settings: CaseSettings, where: str | None, **values: Any
+) -> list[LazyGroup]:
+    """Open a split's tuples; `values` are further settings of the samples."""
     first = SampleSettings(
         size=settings.size, seed=settings.seed, split=split, where=where, lighting=settings.lighting, length=1,
-        augment=False,
+        augment=False, **values,
     )  # fmt: skip
     index = open_training(address, where=first.filter()).index
     if not len(index):

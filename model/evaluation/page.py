@@ -64,7 +64,7 @@ def tables_of(found: Evaluation) -> list[Table]:
         tables += [_metric_table(metric, means) for metric in metrics]
     tables.append(_cost_table(found))
     if any(means.values()):
-        tables += [_subset_table(found, region) for region in (JUDGED_BY, "image")]
+        tables += [_subset_table(found, region) for region in sorted(REGIONS, key=lambda region: region != JUDGED_BY)]
     return tables
 
 

@@ -12,7 +12,7 @@ import torch
 
 from multilight.datagen.report import Report, silent
 from multilight.model.evaluation.baselines import BASELINES, Baseline
-from multilight.model.evaluation.cases import Case, Group, LazyGroup
+from multilight.model.evaluation.cases import VARIANT, Case, Group, LazyGroup
 from multilight.model.evaluation.consistency import disagreement, shared_pairs
 from multilight.model.evaluation.lpips import Lpips
 from multilight.model.evaluation.method3d import SceneMethod
@@ -74,8 +74,10 @@ class Evaluation:
         return tuple(sorted(names, key=lambda name: (not name.startswith("test"), not name.startswith("kind"), name)))
 
     def frames_of(self, subset: str | None) -> list[Frame]:
-        """Return the frames of a subset, or all."""
-        return [frame for frame in self.frames if subset is None or subset in frame.subsets]
+        """Return the frames of a subset, or all that are no other's made over."""
+        if subset is None:
+            return [frame for frame in self.frames if not _made_over(frame)]
+        return [frame for frame in self.frames if subset in frame.subsets]
 
     def means(self, method: str, subset: str | None = None) -> Scores:
         """Average a method's scores over the frames of a subset, or all."""
@@ -91,6 +93,10 @@ class Evaluation:
             return float("nan"), float("nan")
         own, true = (float(np.mean([values[name] for values in self.consistency])) for name in (method, "target"))
         return own, own / max(true, 1e-9)
+
+
+def _made_over(judged: Frame | Group) -> bool:
+    return any(subset.startswith(VARIANT) for subset in judged.subsets)
 
 
 def methods_of(models: Mapping[str, Harmonizer]) -> dict[str, Method]:
@@ -124,7 +130,7 @@ def evaluate(
             if isinstance(method, SceneMethod):
                 method.begin(group)
         pictures = [_judge(case, group, methods, found, lpips) for case in group.cases]
-        if len(group.cameras) > 1 and all(case.effect is not None for case in group.cases):
+        if len(group.cameras) > 1 and not _made_over(group) and all(case.effect is not None for case in group.cases):
             _compare_views(group, pictures, found)
     report(len(groups), len(groups))
     return found
@@ -146,7 +152,8 @@ def _judge(
         outputs = {name: fitted_exposure(output, case) for name, output in outputs.items()}
     scores = {name: _scores(output, case, lpips) for name, output in outputs.items()} if case.target is not None else {}
     found.frames.append(Frame(case.name, group.subsets, scores, seconds))
-    _keep(Shown(case, outputs, group.subsets, scores), found, first=case is group.cases[0])
+    if not _made_over(group):
+        _keep(Shown(case, outputs, group.subsets, scores), found, first=case is group.cases[0])
     return outputs
 
 

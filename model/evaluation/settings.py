@@ -20,3 +20,6 @@ class CaseSettings:
     """Side of the pictures in pixels."""
     lighting: Lighting = "random"
     """Lighting: drawn as in training, wild (in saturated colours), or two of the scene's stored conditions."""
+    variants: bool = False
+    """Compare also on the same objects lit rightly already, and with each of the faults that users' inputs have; each
+    is a subset of its own, which counts in no other."""

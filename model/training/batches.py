@@ -83,7 +83,7 @@ def training_samples(data: DataConfig, size: int, *, views: int = 1, augment: bo
     """Open the training samples, without end."""
     settings = SampleSettings(
         size=size, views=views, seed=data.seed, where=data.where, lighting=data.lighting, length=ENDLESS,
-        augment=augment, repeat=True,
+        augment=augment, faults=data.faults if augment else 0.0, repeat=True,
     )  # fmt: skip
     return MultiLightDataset(data.train, settings)
 

@@ -81,19 +81,24 @@ def ssim(image: Tensor, target: Tensor) -> Tensor:
     return _per_picture(index)
 
 
-def effect_weights(mask: Tensor, effect: Tensor, *, far: float) -> Tensor:
-    """Weigh pixels by whether the object changes them: mask (B, 1, H, W), effect (B, 3, H, W) → (B, 1, H, W).
+def changed_and_elsewhere(error: Tensor, mask: Tensor, effect: Tensor) -> tuple[Tensor, Tensor]:
+    """Average an error (B, C, H, W) over what the object changes, and over the rest of each picture: (B,) twice.
 
-    1 on the object, x / (x + 0.02) where its effect has size x (shadow, reflection, glow), plus `far` everywhere;
-    scaled to a mean of 1 in each picture, so that small objects and faint shadows count like large ones.
+    A pixel belongs to the former by the object's `mask` (B, 1, H, W), or by x / (x + 0.02) where its effect
+    (B, 3, H, W) has size x (shadow, reflection, glow). So small objects and faint shadows count like large ones.
     """
     size = effect.abs().amax(dim=1, keepdim=True)
-    weights = torch.maximum(mask, size / (size + EFFECT_SEEN)) + far
-    return weights / weights.mean(dim=(1, 2, 3), keepdim=True)
+    changed = torch.maximum(mask, size / (size + EFFECT_SEEN))
+    error = error.mean(dim=1, keepdim=True)
+    inside, outside = (
+        (error * weight).flatten(1).sum(1) / weight.flatten(1).sum(1).clamp(min=1.0)
+        for weight in (changed, 1.0 - changed)
+    )
+    return inside, outside
 
 
 class CompositingLoss(nn.Module):
-    """Effect-weighted squared error, or its logarithm, plus a perceptual distance.
+    """The squared error, or the logarithm of that of the region that the object changes, plus a perceptual distance.
 
     The mean of a squared error is decided by the pictures that are lit most wrongly, and what is gained on them is
     lost on those that were nearly right; its logarithm counts every picture's relative gain, as PSNR does.
@@ -112,9 +117,11 @@ class CompositingLoss(nn.Module):
     def forward(self, image: Tensor, target: Tensor, mask: Tensor, effect: Tensor) -> dict[str, Tensor]:
         """Compare (B, 3, H, W) pictures: per picture (B,) `loss`, `pixels` and `perceptual`, and (B,) plain `mse`."""
         squared = (image - target) ** 2
-        pixels = _per_picture(squared * effect_weights(mask, effect, far=self.config.far))
-        if self.config.pixels == "log":  # scaled to about the size of the error itself
-            pixels = 10.0 * KNEE * torch.log1p(pixels / KNEE)
+        if self.config.pixels == "mse":
+            pixels = _per_picture(squared)
+        else:  # scaled to about the size of the error itself
+            changed, elsewhere = changed_and_elsewhere(squared, mask, effect)
+            pixels = 10.0 * KNEE * torch.log1p((changed + self.config.far * elsewhere) / KNEE)
         perceptual = torch.zeros_like(pixels) if self.distance is None else self.distance(image, target)
         return {
             "loss": pixels + self.config.perceptual * perceptual,

@@ -5,6 +5,7 @@ import pickle
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
+from operator import methodcaller
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,7 @@ from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.store import ViewData, read_scene, read_view, scene_dir, write_view
 from multilight.model.data import MultiLightDataset, SampleSettings
 from multilight.scenes.colour import luminance
-from tests.datagen.chain import chain
+from tests.datagen.chain import chain, rewrite_json
 
 
 def pack(native: Path, out: Path) -> Path:
@@ -65,6 +66,21 @@ def test_every_value_is_the_native_one(spheres_dataset: Path, packed: Path) -> N
             np.testing.assert_array_equal(view.K, stated.K)
             np.testing.assert_array_equal(view.c2w, stated.c2w)
             assert len(view.conditions) == len(record.conditions)
+
+
+@pytest.mark.parametrize("stated", [{"index_sha256": "", "index_rows": 0}, {"index_more": ["0" * 64, "1" * 64]}])
+def test_the_copy_states_its_own_index(
+    stated: dict[str, object], spheres_copy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Also of a dataset that is still being made, or whose index has several files."""
+    rewrite_json(spheres_copy / "dataset.json", methodcaller("update", stated))
+    indices = open_dataset(spheres_copy).indices
+    out = pack(spheres_copy, tmp_path / "copy")
+    capsys.readouterr()
+    whole = open_dataset(out)
+    assert capsys.readouterr().err == ""
+    assert whole.indices == indices
+    assert whole.record.index_rows == len(indices)
 
 
 def test_what_equals_all_or_nothing_takes_no_pixels(packed: Path) -> None:

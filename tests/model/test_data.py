@@ -19,6 +19,7 @@ from multilight.datagen.report import silent
 from multilight.datagen.storage.address import find_place
 from multilight.datagen.storage.open_dataset import open_dataset
 from multilight.datagen.storage.pack import pack_dataset
+from multilight.datagen.storage.packed import PackedView
 from multilight.datagen.tuples import compose
 from multilight.lights.display.tonemap import tone_curve
 from multilight.lights.spec import (
@@ -32,9 +33,10 @@ from multilight.lights.spec import (
     SunLight,
 )
 from multilight.model.data import MultiLightDataset, MultiLightStream, SampleSettings
-from multilight.model.data.augment import draw_camera, respond
+from multilight.model.data.augment import PLAIN, draw_camera, respond
 from multilight.model.data.lighting import draw_gains, tints
 from multilight.model.data.lights import KINDS, SceneLights, read_lights
+from multilight.model.data.mixing import mix_tuple
 from multilight.model.data.plan import generator
 from multilight.scenes.arrays import Float32
 from multilight.scenes.colour import luminance, srgb_encode
@@ -117,6 +119,29 @@ def test_tuples_are_those_of_compose(spheres_dataset: Path, packed: Path) -> Non
         np.testing.assert_array_equal(sample["z_depth"][0], view.geometry.z_depth[:, 8:56])
         camera = record.views[draw.views[0]]
         np.testing.assert_allclose(sample["K"], np.array(camera.K) - [[0, 0, 8], [0, 0, 0], [0, 0, 0]], rtol=1e-6)
+
+
+def test_a_painted_object_is_lit_alike_in_another_colour(packed: Path) -> None:
+    data, paint = opened(packed, length=6), np.array([0.5, 1.0, 1.7], np.float32)
+    for index in range(len(data)):
+        draw = data.plan.draw(0, index)
+        view, name = data.source.view(draw.place.scene, draw.views[0]), draw.place.object
+        insert, base = view.conditions[0], view.conditions[1]
+        found = mix_tuple(view, name, insert=insert, base=base, camera=PLAIN, paint=paint)
+        alpha = view.object_coverage(name)[..., None].astype(np.float32)
+
+        def mixed(variant: str, gains: Float32, view: PackedView = view) -> Float32:
+            return np.asarray(np.einsum("lhwc,lc->hwc", view.variant(variant).astype(np.float32), gains))
+
+        behind, own = mixed(f"without_{name}", base), f"foreground_{name}"
+        wanted = {
+            "composite": behind * (1 - alpha) + mixed(own, insert) * paint,
+            "target": mixed("all", base) + mixed(own, base) * (paint - 1),
+            "background": behind,
+        }
+        for what, linear in wanted.items():
+            shown = srgb_encode(tone_curve(linear.clip(min=0))).transpose(2, 0, 1)
+            np.testing.assert_allclose(getattr(found, what).numpy(), shown, atol=2e-4, err_msg=what)
 
 
 def test_a_sample_depends_on_seed_epoch_and_index_only(packed: Path) -> None:

@@ -11,7 +11,7 @@ from torchmetrics.functional.image import structural_similarity_index_measure
 
 from multilight.datagen.errors import UserError
 from multilight.model.configs.stage2d import LossConfig
-from multilight.model.training.losses import CompositingLoss, StructureDistance, effect_weights, ssim
+from multilight.model.training.losses import CompositingLoss, StructureDistance, changed_and_elsewhere, ssim
 from multilight.model.training.vgg import VGG19Features, load_vgg19
 
 LAYERS = (64, 64, "pool", 128, 128, "pool", 256, 256, 256, 256, "pool", 512, 512, 512, 512, "pool", 512, 512, 512, 512)
@@ -154,14 +154,25 @@ def test_stand_in_is_zero_for_equal_pictures_and_sees_a_lost_edge() -> None:
     assert distance(blurred, target) > 5 * distance(0.98 * target, target)
 
 
-def test_weights_follow_object_and_effect() -> None:
-    mask, effect = torch.zeros(2, 1, 8, 8), torch.zeros(2, 3, 8, 8)
+def test_errors_are_averaged_over_what_the_object_changes_and_over_the_rest() -> None:
+    mask, effect, error = torch.zeros(2, 1, 8, 8), torch.zeros(2, 3, 8, 8), torch.ones(2, 3, 8, 8)
     mask[:, :, :2] = 1
-    effect[0, 1, 4] = -0.02  # a shadow in the first picture only
-    weights = effect_weights(mask, effect, far=0.1)
-    assert torch.allclose(weights.mean(dim=(1, 2, 3)), torch.ones(2))
-    assert torch.allclose(weights[0, 0, 0, 0] / weights[0, 0, 7, 0], torch.tensor(11.0))
-    assert torch.allclose(weights[0, 0, 4, 0] / weights[0, 0, 7, 0], torch.tensor(6.0))
+    error[:, :, :2] = 3.0
+    effect[0, 1, 4] = -0.02  # a shadow in the first picture only; as seen as not
+    error[0, :, 4] = 7.0
+    inside, outside = changed_and_elsewhere(error, mask, effect)
+    assert torch.allclose(inside, torch.tensor([(16 * 3 + 4 * 7) / 20, 3.0]))
+    assert torch.allclose(outside, torch.tensor([(40 + 4 * 7) / 44, 1.0]))
+
+
+def test_a_small_object_counts_like_a_large_one() -> None:
+    loss = CompositingLoss(LossConfig(perceptual=0))
+    target = torch.zeros(2, 3, 32, 32)
+    image, mask = target.clone(), torch.zeros(2, 1, 32, 32)
+    mask[0, :, :2, :2], mask[1, :, :20, :20] = 1, 1
+    image = image + 0.3 * mask
+    small, large = loss(image, target, mask, image - target)["pixels"]
+    assert torch.allclose(small, large)
 
 
 def test_loss_without_effect_is_squared_error_and_labelled() -> None:
