@@ -90,8 +90,8 @@ def _finish(source: DatasetSource, copy: Copy, made: int) -> Packed:
     if stated == source.record.model_dump(include=set(stated)):
         _copy(source, "dataset.json", copy.root)
     else:
-        record = source.record.model_copy(update=stated).sealed()
-        write_text(copy.root / "dataset.json", record.model_dump_json(indent=1))
+        own = source.record.model_copy(update=stated).sealed()
+        write_text(copy.root / "dataset.json", own.model_dump_json(indent=1))
     with write_whole(copy.root / "index.parquet") as work:
         work.write_bytes(content)
     with write_whole(copy.root / VISIBLE) as work:
