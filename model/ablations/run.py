@@ -126,7 +126,7 @@ def stored_lighting(scenes: Sequence[int], count: int, seed: int) -> dict[str, V
     anew = f"{count} conditions, each rendered anew"
     return {
         "drawn for every sample": {},
-        f"{count} stored conditions a scene ({count**2} pairs)": fixed,
+        f"{count} stored conditions a scene ({count * (count - 1)} pairs)": fixed,
         f"{anew}: {all_anew} scenes for the same core-seconds": joined(only(order[:all_anew]), fixed),
         f"drawn for every sample, {fifth} scenes": only(order[:fifth]),
         f"{anew}: {fifth_anew} scenes for the core-seconds of {fifth}": joined(only(order[:fifth_anew]), fixed),

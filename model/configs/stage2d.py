@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 from multilight.scenes.frozen import Settings, UnitFloat
 
 Head = Literal["light", "gain", "residual", "direct"]
-Lighting = Literal["random", "wild", "stored"]
+Lighting = Literal["random", "wild", "stored", "both"]
 Input = Literal["background", "depth"]
 Fault = Literal["no depth", "depth with holes", "affine depth", "noisy depth", "guessed depth", "misplaced", "scaled"]
 FAULTS: tuple[Fault, ...] = get_args(Fault)
@@ -68,7 +68,7 @@ class DataConfig(Settings):
     """SQL expression over the dataset's index that chooses scenes, `kind = 'room'`, say."""
     lighting: Lighting = "random"
     """Lighting of the training samples: drawn anew for each, such as the dataset's conditions are or wild (in saturated
-    colours), or two of the scene's stored conditions."""
+    colours), two of the scene's stored conditions, or either of drawn and stored for every other sample."""
     augment: bool = True
     """Vary exposure, white balance, camera response, crop and direction."""
     faults: UnitFloat = 0.3

@@ -10,6 +10,9 @@ from multilight.datagen.errors import UserError
 from multilight.model.data.settings import SampleSettings
 from multilight.scenes.arrays import Int64
 
+HALF = 0.5
+"""Of the samples with both kinds of lighting, those with stored conditions."""
+
 
 @dataclass(frozen=True)
 class Place:
@@ -71,14 +74,19 @@ class Plan:
     """Stored conditions of every scene."""
 
     def __post_init__(self) -> None:
-        room = len(self.places) * self.conditions**2
+        room = len(self.places) * self.pairs
         settings = self.settings
         if settings.lighting == "stored" and settings.length > room and not settings.repeat:
             raise UserError(
                 f"length {settings.length}: with stored lighting there are {room} different tuples "
-                f"({len(self.places)} places x {self.conditions} x {self.conditions} conditions); "
+                f"({len(self.places)} places x {self.pairs} pairs of conditions); "
                 "ask for no more, or for repeat"
             )
+
+    @property
+    def pairs(self) -> int:
+        """Ordered pairs of two different stored conditions; 1, of the only one with itself, where there is one."""
+        return max(1, self.conditions * (self.conditions - 1))
 
     def place(self, epoch: int, index: int) -> int:
         """Return the number of the place that a sample shows."""
@@ -91,10 +99,13 @@ class Plan:
         place, lap = self.places[number], index // len(self.places)
         rng = generator(seed, epoch, index, 1)
         pair = None
-        if self.settings.lighting == "stored":
-            pairs = generator(seed, epoch, number, 2).permutation(self.conditions**2)
-            pair = divmod(int(pairs[lap % len(pairs)]), self.conditions)
+        if self.settings.lighting == "stored" or (self.settings.lighting == "both" and rng.random() < HALF):
+            pair = self._pair(int(generator(seed, epoch, number, 2).permutation(self.pairs)[lap % self.pairs]))
         return Draw(place, _views(place, self.settings.views, rng), pair, rng)
+
+    def _pair(self, number: int) -> tuple[int, int]:
+        insert, base = divmod(number, max(1, self.conditions - 1))
+        return insert, min(base + (base >= insert), self.conditions - 1)
 
 
 def _views(place: Place, count: int, rng: np.random.Generator) -> tuple[int, ...]:

@@ -1,5 +1,6 @@
 """Training data: lighting made on the fly, the same for any number of workers, and true to the stored layers."""
 
+import itertools
 import json
 import shutil
 import subprocess
@@ -179,14 +180,22 @@ def test_distributed_sampler_shares_out(packed: Path) -> None:
 
 
 def test_no_stored_tuple_comes_twice(packed: Path) -> None:
-    places, pairs = len(opened(packed).plan.places), 12 * 12
+    places, pairs = len(opened(packed).plan.places), 12 * 11
     data = opened(packed, lighting="stored", length=places * pairs)
     draws = [data.plan.draw(2, index) for index in range(len(data))]
     assert len({(d.place, d.views, d.conditions) for d in draws}) == len(data)
+    assert {d.conditions for d in draws} == set(itertools.permutations(range(12), 2))
     assert [len({d.place for d in draws[i : i + places]}) for i in range(0, len(data), places)] == [places] * pairs
     with pytest.raises(UserError, match=f"{places * pairs} different tuples"):
         opened(packed, lighting="stored", length=places * pairs + 1)
     assert len(opened(packed, lighting="stored", length=places * pairs + 1, repeat=True)) == places * pairs + 1
+
+
+def test_both_kinds_of_lighting_take_turns(packed: Path) -> None:
+    plan = opened(packed, lighting="both", length=200).plan
+    stored = [plan.draw(0, index).conditions for index in range(200)]
+    assert 70 < sum(pair is not None for pair in stored) < 130
+    assert all(pair[0] != pair[1] for pair in stored if pair)
 
 
 def test_no_drawn_tuple_comes_twice(packed: Path) -> None:
