@@ -1,6 +1,5 @@
 """Shared fixtures: a small closed-form dataset that needs no renderer."""
 
-import contextlib
 import ctypes
 import gc
 import os
@@ -10,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import fsspec
 import pytest
 
 from multilight.datagen.backends.machine.mitsuba_variant import choose_variant, prepare_environment
@@ -18,7 +18,7 @@ from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.store import ViewData, read_scene, read_view, scene_dir
 from multilight.scenes.assets import mesh_memory
 from tests.browsing import launched
-from tests.ray_nodes import RayNodes
+from tests.datagen.servers import FaultyBucket, faulty_bucket
 
 if TYPE_CHECKING:
     from multilight.model.captures.capture import Capture
@@ -122,13 +122,19 @@ def capture(capture_folders: dict[str, Path]) -> "Capture":
     return read_capture(capture_folders["nerfstudio"])
 
 
+@pytest.fixture(scope="module")
+def s3_server() -> Iterator[FaultyBucket]:
+    with faulty_bucket() as found:
+        yield found
+
+
 @pytest.fixture
-def ray_nodes(monkeypatch: pytest.MonkeyPatch) -> Iterator[RayNodes]:
-    """A Ray cluster on loopback, so far of a head that makes nothing itself."""
-    pytest.importorskip("ray")
-    # Ray's own switch for clusters that do not leave loopback, for all who join it.
-    monkeypatch.setenv("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")
-    monkeypatch.setattr("ray._private.ray_constants.ENABLE_RAY_CLUSTER", False)
-    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
-    with contextlib.closing(RayNodes()) as nodes:
-        yield nodes
+def bucket(s3_server: FaultyBucket, monkeypatch: pytest.MonkeyPatch) -> Iterator[FaultyBucket]:
+    """A bucket, so far empty, and the environment in which `s3://bucket` means it."""
+    for name, value in s3_server.environment.items():
+        monkeypatch.setenv(name, value)
+    fsspec.config.conf.clear()
+    fsspec.config.set_conf_env(fsspec.config.conf)
+    yield s3_server
+    s3_server.clear()
+    fsspec.config.conf.clear()

@@ -25,20 +25,20 @@ class RayNodes:
     def _answer(self) -> str:
         assert self._process.stdout is not None
         for line in self._process.stdout:  # Ray says more than it is asked
-            if line.startswith("answer "):
-                return line.removeprefix("answer ").strip()
+            if line.startswith("answer"):
+                return line.removeprefix("answer").strip()
         raise RuntimeError("the cluster ended")
 
-    def _ask(self, words: str) -> str:
+    def _ask(self, words: str) -> None:
         assert self._process.stdin is not None
         print(words, file=self._process.stdin, flush=True)
-        return self._answer()
+        self._answer()
 
-    def add(self) -> str:
-        """Add a node; returns its number."""
-        return self._ask("add")
+    def add(self) -> None:
+        """Add a node; the first has the number 0."""
+        self._ask("add")
 
-    def kill(self, number: str) -> None:
+    def kill(self, number: int) -> None:
         """Kill a node."""
         self._ask(f"kill {number}")
 
@@ -62,7 +62,7 @@ def main() -> None:
                 nodes.append(cluster.add_node(**NODE))
             else:
                 cluster.remove_node(nodes[int(number)], allow_graceful=False)
-            print("answer", len(nodes) - 1, flush=True)
+            print("answer", flush=True)
     cluster.shutdown()
     shutil.rmtree(files)
 

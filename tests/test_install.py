@@ -66,7 +66,7 @@ def test_installed_beside_a_project_with_the_same_names(wheel: Path, tmp_path: P
 
 
 MODULES = {
-    "render": "trimesh embreex fcl igl mujoco pebble psutil mitsuba_oidn drjit mitsuba pxr bpy",
+    "render": "trimesh embreex fcl igl mujoco pebble mitsuba_oidn drjit mitsuba pxr bpy",
     "train": "torch torchmetrics tensorboard flip_evaluator",
     "captures": "onnxruntime pycolmap imageio_ffmpeg",
     "remote": "s3fs aiohttp",

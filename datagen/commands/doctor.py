@@ -14,6 +14,7 @@ from pathlib import Path
 from multilight.datagen.backends.choose import has_mitsuba, pick_renderer
 from multilight.datagen.backends.machine import llvm
 from multilight.datagen.backends.machine.fetch_llvm import fetch_llvm, has_apt, known_packages
+from multilight.datagen.backends.machine.memory import whole_bytes
 from multilight.datagen.backends.machine.mitsuba_variant import Choice, Gpu, choose, choose_variant, find_gpu, try_out
 from multilight.datagen.commands.output import progress
 from multilight.datagen.config.dataset import RendererName
@@ -114,7 +115,7 @@ def diagnose() -> Diagnosis:
         processor=_first_match("/proc/cpuinfo", r"model name\s*:\s*(.+)") or os.uname().machine,
         cores=len(os.sched_getaffinity(0)),
         avx512=_first_match("/proc/cpuinfo", r"flags\s*:.*(avx512f)") != "",
-        memory=memory_here() / GIB,
+        memory=whole_bytes() / GIB,
         gpu=gpu,
         libraries=libraries,
         blender=blender,
@@ -167,13 +168,6 @@ def _first_match(file: str, pattern: str) -> str:
     except OSError:
         return ""
     return found[1].strip() if found else ""
-
-
-def memory_here() -> int:
-    """Return the bytes that this process may use: the machine's, or its container's limit."""
-    limit = _first_match("/sys/fs/cgroup/memory.max", r"^(\d+)$")
-    installed = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    return min(installed, int(limit)) if limit else installed
 
 
 def _print(found: Diagnosis) -> None:

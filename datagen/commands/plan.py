@@ -32,13 +32,13 @@ class Plan(Settings):
 
     def run(self) -> int:
         """Measure, print, and return the exit code."""
-        from multilight.datagen.commands.doctor import memory_here
+        from multilight.datagen.backends.machine.memory import whole_bytes
         from multilight.datagen.commands.output import progress
         from multilight.datagen.production.estimate import estimate
 
         config, here = self.configuration({}), len(os.sched_getaffinity(0))
         cores = here if self.cores is None else self.cores
-        memory = memory_here() if self.memory is None else int(self.memory * 1e9)
+        memory = whole_bytes() if self.memory is None else int(self.memory * 1e9)
         options = {"machines": self.machines, "cores": cores, "memory": memory / 1e9, "minutes": self.minutes}
         for option, value in options.items():
             if value <= 0:

@@ -16,9 +16,9 @@ from typing import Protocol
 
 from pebble import ProcessExpired, ProcessFuture, ProcessPool
 
+from multilight.datagen.backends.machine.memory import free_bytes, resident_bytes
 from multilight.datagen.config.dataset import DatasetConfig
 from multilight.datagen.errors import RunStoppedError, UserError
-from multilight.datagen.production.memory import free_bytes, resident_bytes
 from multilight.datagen.production.worker import WorkerReport, WorkerSetup, run_scene, scenes_a_worker
 
 SECONDS_A_MEGASAMPLE = 60.0  # a hundred times what a slow core needs; only a hung scene exceeds it

@@ -3,11 +3,10 @@
 The figures are those of `python -m benchmarks.volume --presets --large 128 256 512 1024 2048` and of `benchmarks.flat`.
 """
 
-import contextlib
 import os
 import sys
-from pathlib import Path
 
+from multilight.datagen.backends.machine.memory import free_bytes
 from multilight.datagen.backends.protocol import LARGE
 from multilight.datagen.config.dataset import DatasetConfig
 from multilight.datagen.production.denoise import MOST_MEMORY
@@ -23,11 +22,6 @@ LIGHTS = 5
 """Lights that most scenes have at most, where the configuration allows more."""
 COPIES, COPIES_LARGE = 5.2, 0.6
 """How often all layers of a view (float32) are in memory at most: usually, and where they wait on disk."""
-CONTAINERS = (
-    ("/sys/fs/cgroup/", "memory.max", "memory.current", "inactive_file"),
-    ("/sys/fs/cgroup/memory/", "memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
-)
-"""Where a control group of version 2 or 1 says what it allows, what is used, and what of that is but a cache."""
 
 
 def worker_bytes(config: DatasetConfig, scenes: int = 1) -> int:
@@ -39,38 +33,6 @@ def worker_bytes(config: DatasetConfig, scenes: int = 1) -> int:
     filters = 0 if config.denoise == "off" else FILTER * pixels
     parts = 1 + filters // (MOST_MEMORY * 1_000_000)
     return int(start + KEPT * before / (before + HALF) + filters / parts + (copies + config.keep_raw) * layers)
-
-
-def free_bytes() -> int:
-    """Return the memory that is free for use, within what a container is allowed."""
-    free = [_table("/proc/meminfo")["MemAvailable:"] * 1024]
-    for folder, allowed, used, cache in CONTAINERS:
-        with contextlib.suppress(OSError, ValueError):  # none, or without a limit
-            most, now = (int(Path(folder + name).read_text(encoding="ascii")) for name in (allowed, used))
-            free.append(most - now + _table(folder + "memory.stat")[cache])
-    return max(0, min(free))
-
-
-def resident_bytes(process: int) -> int:
-    """Return the memory that a process has in use; raises `OSError` where there is no such process."""
-    pages = int(Path(f"/proc/{process}/statm").read_text(encoding="ascii").split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE")
-
-
-def _table(file: str) -> dict[str, int]:
-    """Read a file of names and numbers, a line each."""
-    lines = (line.split() for line in Path(file).read_text(encoding="ascii").splitlines())
-    return {name: int(number) for name, number, *_ in lines}
-
-
-def used_bytes() -> int:
-    """Return the memory that this process and its children take."""
-    children = (path.read_text(encoding="ascii").split() for path in Path("/proc/self/task").glob("*/children"))
-    total = 0
-    for process in (os.getpid(), *(int(child) for told in children for child in told)):
-        with contextlib.suppress(OSError):  # it has ended meanwhile
-            total += resident_bytes(process)
-    return total
 
 
 def default_workers(scenes: int, config: DatasetConfig) -> int:

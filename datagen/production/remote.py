@@ -27,8 +27,8 @@ FIRST, LONGEST = 0.5, 30.0
 """Seconds to wait after a request failed first, and at most; each wait is twice the one before, give or take half."""
 TOTAL = 600.0
 """Seconds after which a request that still fails stops the run."""
-AT_ONCE = 8
-"""Files of a scene that are sent at once."""
+AT_ONCE, IN_MEMORY = 8, 500_000_000
+"""Files of a scene sent at once, and bytes of them: s3fs has those below 100 MB in memory, of others ten parts."""
 _T = TypeVar("_T")
 
 
@@ -130,14 +130,19 @@ class Remote:
         """Send a file, a large one in parts, and see that all of it has come."""
 
         def act() -> None:
-            self.place.filesystem.put_file(str(path), self._path(name))
-            self._check(name, path.stat().st_size)
+            size = path.stat().st_size
+            with contextlib.suppress(FileNotFoundError):  # the answer that its parts are together was lost
+                self.place.filesystem.put_file(str(path), self._path(name))
+            self._check(name, size)
 
         self.patiently(act)
 
     def _check(self, name: str, size: int) -> None:
         """Raise `OSError` where a file is not of that size."""
-        if (found := self.place.filesystem.info(self._path(name))["size"]) != size:
+        found = 0
+        with contextlib.suppress(FileNotFoundError):
+            found = self.place.filesystem.info(self._path(name))["size"]
+        if found != size:
             raise OSError(f"{found} of {size} bytes have come")
 
     def _path(self, name: str) -> str:
@@ -159,7 +164,8 @@ def send_scene(remote: Remote, root: Path, row: Row, credits: Iterable[AssetCred
         remote.remove(f"{folder}/{name}" for name in sorted(found, key=lambda name: name != "scene.json"))
     told = {"row": row, "credits": [credit.model_dump() for credit in credits]}
     remote.write(row_file(row), json.dumps(told).encode())
-    with ThreadPoolExecutor(AT_ONCE) as pool:
+    largest = max((here / name).stat().st_size for name in names)
+    with ThreadPoolExecutor(max(1, min(AT_ONCE, IN_MEMORY // largest))) as pool:
         list(pool.map(lambda n: remote.send(here / n, f"{folder}/{n}"), (n for n in names if n != "scene.json")))
     remote.send(here / "scene.json", f"{folder}/scene.json")
     shutil.rmtree(here)

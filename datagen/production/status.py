@@ -12,10 +12,10 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
+from multilight.datagen.backends.machine.memory import free_bytes, used_bytes
 from multilight.datagen.errors import StoreError
 from multilight.datagen.production.aside import FOLDER as ASIDE
 from multilight.datagen.production.drivers import FOLDER, LEASE
-from multilight.datagen.production.memory import free_bytes, used_bytes
 from multilight.datagen.storage.address import find_place
 from multilight.datagen.storage.open_dataset import scene_names
 from multilight.datagen.storage.store import MOST_RECORD, parse_dataset

@@ -34,7 +34,7 @@ import tyro
 from multilight.datagen.backends.analytic import AnalyticBackend
 from multilight.datagen.config.dataset import DatasetConfig
 from multilight.datagen.errors import RunStoppedError, UserError
-from multilight.datagen.production import drivers, running, scene
+from multilight.datagen.production import drivers, running, scene, worker
 from multilight.datagen.production.crew import Failed, Limits, limits_for
 from multilight.datagen.production.dataset import make_dataset
 from multilight.datagen.production.running import Plan
@@ -68,11 +68,13 @@ class Here:
     def __init__(self, setup: WorkerSetup, limits: Limits, count: int) -> None:
         backend = AnalyticBackend().__enter__()
         self._maker = SceneMaker(setup.config, "analytic", setup.root, AssetLibrary(), backend, 1, token=setup.token)
+        self._setup = setup
 
     def start(self, index: int, replace: bool) -> "Future[object]":
         future: Future[object] = Future()
         try:
-            future.set_result(report_of(make_scene(self._maker, index, replace=replace), {}))
+            told = report_of(make_scene(self._maker, index, replace=replace), {})
+            future.set_result(worker._sent(self._setup, told, replace=replace) if self._setup.address else told)
         except Exception as error:
             future.set_exception(error)
         return future

@@ -54,10 +54,15 @@ def in_memory(folder: Path, name: str = "sets") -> Iterator[str]:
         memory.rm(f"/{name}", recursive=True)
 
 
-Fault = Literal["500", "503", "expired", "no answer", "lost answer", "late", "cut"]
+Fault = Literal["500", "503", "expired", "gone", "no answer", "lost answer", "late", "cut"]
 """What goes wrong with a request: errors that S3 gives, the connection's end before or after it was done, an answer
 that comes too late, half of the content."""
-ERRORS = {"500": (500, "InternalError"), "503": (503, "SlowDown"), "expired": (400, "ExpiredToken")}
+ERRORS = {
+    "500": (500, "InternalError"),
+    "503": (503, "SlowDown"),
+    "expired": (400, "ExpiredToken"),
+    "gone": (404, "NoSuchUpload"),
+}
 
 
 class Forwarder(http.server.BaseHTTPRequestHandler):

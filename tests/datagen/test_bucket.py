@@ -10,7 +10,6 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -20,39 +19,43 @@ import pytest
 import multilight
 from multilight.datagen.cli import main
 from multilight.datagen.errors import RunStoppedError
-from multilight.datagen.production import drivers, remote
+from multilight.datagen.production import drivers, remote, running, worker
+from multilight.datagen.production.bucket import Bucket
 from multilight.datagen.storage.address import find_place
-from tests.datagen.servers import Fault, FaultyBucket, faulty_bucket
-from tests.ray_nodes import RayNodes
+from tests.datagen.driver_faults import Here
+from tests.datagen.servers import Fault, FaultyBucket
 
 SCENES = 6
 SETTINGS = ["--renderer", "analytic", "--kind", "spheres", "--width", "32", "--height", "32"]
-SETTINGS += ["--views", "2", "--spp", "1", "--workers", "2", "--scenes", str(SCENES)]
+SETTINGS += ["--views", "2", "--spp", "1", "--workers", "1", "--scenes", str(SCENES)]
 ADDRESS = "s3://bucket/set"
 
 
-@pytest.fixture(scope="module")
-def server() -> Iterator[FaultyBucket]:
-    with faulty_bucket() as found:
-        yield found
+LEASE = 1.5
+"""Seconds, instead of a minute."""
+
+
+@pytest.fixture(autouse=True)
+def in_a_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have dead runs count as such soon, and be asked about often."""
+    monkeypatch.setattr(drivers, "LEASE", LEASE)
+    monkeypatch.setattr(Bucket, "pause", 0.1)
+    worker._remote.cache_clear()
 
 
 @pytest.fixture
-def bucket(server: FaultyBucket, monkeypatch: pytest.MonkeyPatch) -> Iterator[FaultyBucket]:
-    for name, value in server.environment.items():
-        monkeypatch.setenv(name, value)
-    fsspec.config.conf.clear()
-    fsspec.config.set_conf_env(fsspec.config.conf)
-    yield server
-    server.clear()
-    fsspec.config.conf.clear()
+def here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make scenes in the driver's own process, since workers take seconds to start."""
+    monkeypatch.setattr(running, "Crew", Here)
 
 
 @pytest.fixture(scope="module")
 def alone(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     """What a run in a folder makes."""
     root = tmp_path_factory.mktemp("alone") / "set"
-    assert main(["dataset", "--out", f"file://{root}", *SETTINGS]) == 0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(running, "Crew", Here)
+        assert main(["dataset", "--out", f"file://{root}", *SETTINGS]) == 0
     return {p.relative_to(root).as_posix(): p.read_bytes() for p in root.rglob("*") if p.is_file()}
 
 
@@ -73,7 +76,7 @@ def stages() -> list[str]:
 def test_a_bucket_gets_the_bytes_of_a_folder_and_is_read(
     bucket: FaultyBucket, alone: dict[str, bytes], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert make() == 0
+    assert make("--workers", "2") == 0
     assert bucket.contents("set") == alone
     assert stages() == []
     order = [path for method, path in bucket.asked if method == "PUT" and "/scenes/000003/" in path]
@@ -108,7 +111,7 @@ def test_one_request_in_ten_fails(
         return found
 
     bucket.fault = fault
-    assert make("--log-json", str(tmp_path / "log")) == 0
+    assert make("--log-json", str(tmp_path / "log"), "--workers", "2") == 0
     assert bucket.contents("set") == alone
     said = capsys.readouterr().out
     assert sum(happened.values()) > 10
@@ -119,7 +122,11 @@ def test_one_request_in_ten_fails(
 
 
 def test_credentials_that_expire(
-    bucket: FaultyBucket, alone: dict[str, bytes], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    bucket: FaultyBucket,
+    alone: dict[str, bytes],
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     expired = False
 
@@ -129,7 +136,7 @@ def test_credentials_that_expire(
         return "expired" if expired else None
 
     bucket.fault = fault
-    assert make("--log-json", str(tmp_path / "log"), "--workers", "1") == 1
+    assert make("--log-json", str(tmp_path / "log")) == 1
     said = capfd.readouterr()
     assert f"error: {ADDRESS}: access is refused" in said.err
     assert "renew the credentials and run the same command again, finished scenes are kept" in said.err
@@ -142,15 +149,16 @@ def test_credentials_that_expire(
     assert stages() == []
     bucket.fault = lambda method, path: None
     put(bucket, {".drivers/0123456789ab.json": b"{}"})  # of a run that was killed
+    monkeypatch.setattr(running, "Crew", Here)
     assert make("--traceback") == 0
     assert {n: c for n, c in bucket.contents("set").items() if not n.startswith(".drivers/")} == alone
 
 
-def test_runs_share_a_bucket_and_take_over_from_a_dead_one(
-    bucket: FaultyBucket, alone: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(drivers, "LEASE", 8.0)
-    command = [sys.executable, "-m", "multilight", "dataset", "--out", ADDRESS, *SETTINGS]
+@pytest.mark.usefixtures("here")
+def test_runs_share_a_bucket_and_take_over_from_a_dead_one(bucket: FaultyBucket, alone: dict[str, bytes]) -> None:
+    code = "from multilight.datagen import cli; from multilight.datagen.production import bucket"
+    code += f"; bucket.BEAT = {LEASE / 5}; cli.main()"
+    command = [sys.executable, "-c", code, "dataset", "--out", ADDRESS, *SETTINGS]
     other = subprocess.Popen(command, stdout=subprocess.DEVNULL, start_new_session=True)
     killed = False
 
@@ -164,13 +172,14 @@ def test_runs_share_a_bucket_and_take_over_from_a_dead_one(
     while not [path for method, path in bucket.asked if method == "PUT" and ".drivers/000000" in path]:
         time.sleep(0.05)
     bucket.fault = fault
-    assert make("--workers", "1") == 0
+    assert make() == 0
     assert other.wait(60) == -signal.SIGKILL
     assert bucket.contents("set") == alone
     assert make() == 0
     assert stages() == [], "what a killed run left here goes with the next one"
 
 
+@pytest.mark.usefixtures("here")
 def test_what_is_lost_or_damaged_is_made_anew(bucket: FaultyBucket, alone: dict[str, bytes]) -> None:
     put(bucket, alone)
     bucket.write("set/scenes/000000/views/01.exr", b"cut")
@@ -183,8 +192,12 @@ def test_what_is_lost_or_damaged_is_made_anew(bucket: FaultyBucket, alone: dict[
     assert bucket.contents("set") == alone
 
 
-def test_a_killed_runs_rows_are_found(bucket: FaultyBucket, alone: dict[str, bytes]) -> None:
+@pytest.mark.usefixtures("here")
+def test_a_killed_runs_rows_are_found(
+    bucket: FaultyBucket, alone: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Its scenes are there, and their rows, but no index: no record is read."""
+    monkeypatch.setattr(running, "BETWEEN", 1e9)  # on a slow machine the first index would come before all scenes
     bucket.fault = lambda method, path: "expired" if method == "PUT" and path.endswith("index.parquet") else None
     assert make() == 1
     assert sum(name.startswith(".rows/") for name in bucket.contents("set")) == SCENES
@@ -196,8 +209,12 @@ def test_a_killed_runs_rows_are_found(bucket: FaultyBucket, alone: dict[str, byt
 
 
 def test_scenes_that_are_set_aside(
-    bucket: FaultyBucket, alone: dict[str, bytes], capsys: pytest.CaptureFixture[str]
+    bucket: FaultyBucket,
+    alone: dict[str, bytes],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr(running, "TRIES", 1)
     put(bucket, {name: content for name, content in alone.items() if "/000003/" not in name})
     assert make("--limit-minutes", "0.0001") == 1
     assert f"log {ADDRESS}/set_aside/000003.log" in capsys.readouterr().err
@@ -206,17 +223,8 @@ def test_scenes_that_are_set_aside(
     assert (
         "failed     1: took longer than 0 s; raise --limit-minutes or lower --spp (scenes 3)" in capsys.readouterr().out
     )
+    monkeypatch.setattr(running, "Crew", Here)
     assert make("--retry") == 0
-    assert bucket.contents("set") == alone
-
-
-@pytest.mark.slow
-def test_nodes_of_a_ray_cluster_need_no_shared_folder(
-    bucket: FaultyBucket, alone: dict[str, bytes], ray_nodes: RayNodes
-) -> None:
-    ray_nodes.add()
-    ray_nodes.add()
-    assert make("--executor", "ray", "--address", ray_nodes.address) == 0
     assert bucket.contents("set") == alone
 
 
@@ -258,6 +266,48 @@ def test_half_of_what_is_written_is_noticed(bucket: FaultyBucket) -> None:
     assert place.create("created", "whole")
     assert not place.create("created", "other")
     assert bucket.contents("set") == {"written": b"whole", "created": b"whole"}
+
+
+@pytest.mark.parametrize(
+    ("wrong", "where", "parts", "tries"),
+    [
+        (("500",), "partNumber=2", {1: 1, 2: 2, 3: 1}, 0),
+        (("no answer",), "partNumber=3", {1: 1, 2: 1, 3: 2}, 0),
+        (("cut",), "partNumber=3", {1: 2, 2: 2, 3: 2}, 1),
+        (("lost answer", "gone"), "POST", {1: 1, 2: 1, 3: 1}, 0),  # put together, of which only the second try hears
+    ],
+)
+def test_a_large_file_goes_in_parts(
+    bucket: FaultyBucket,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    wrong: tuple[Fault, ...],
+    where: str,
+    parts: dict[int, int],
+    tries: int,
+) -> None:
+    """What fails of a part is sent again alone; only where the whole came out too short all of it is."""
+    monkeypatch.delenv("AWS_MAX_ATTEMPTS")
+    fsspec.config.conf.pop("s3")  # with it, on a slow machine, parts would be late
+    monkeypatch.setattr("s3fs.core.calculate_chunksize", lambda size, chunksize=None: 5 << 20)  # instead of 50 MiB
+    fsspec.get_filesystem_class("s3").clear_instance_cache()
+    left = [*wrong]
+
+    def fault(method: str, path: str) -> Fault | None:
+        return left.pop(0) if left and where in f"{method} {path}" and "uploadId=" in path else None
+
+    bucket.fault = fault
+    content = random.Random(0).randbytes(11 << 20)
+    (tmp_path / "large").write_bytes(content)
+    place = remote.Remote(ADDRESS)
+    place.send(tmp_path / "large", "large")
+    assert left == []
+    assert bucket.contents("set")["large"] == content
+    sent = Counter(int(found[1]) for method, path in bucket.asked if (found := re.search("partNumber=([0-9]+)", path)))
+    assert sent == parts
+    assert len(place.retried) == tries
+    assert place.place.filesystem.list_multipart_uploads("bucket") == []
+    fsspec.get_filesystem_class("s3").clear_instance_cache()
 
 
 def test_patience_ends(bucket: FaultyBucket, monkeypatch: pytest.MonkeyPatch) -> None:

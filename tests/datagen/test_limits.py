@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from multilight.datagen.backends.machine import memory
 from multilight.datagen.cli import main
-from multilight.datagen.production import crew, memory
+from multilight.datagen.production import crew
 from multilight.datagen.production.aside import aside_path
 from multilight.datagen.production.crew import Crew, Failed, Limits
 from multilight.datagen.production.worker import WorkerReport, WorkerSetup
@@ -84,5 +85,6 @@ def test_a_container_has_what_it_is_allowed_less_what_is_used(
     (tmp_path / names[1]).write_text("300000\n")
     (tmp_path / "memory.stat").write_text(f"anon 200000\n{names[2]} 100000\n")
     assert memory.free_bytes() == 300_000
+    assert memory.whole_bytes() == 500_000
     (tmp_path / names[0]).write_text("max\n")
-    assert memory.free_bytes() > 10**7
+    assert memory.whole_bytes() > memory.free_bytes() > 10**7
