@@ -52,7 +52,7 @@ def tuple_of(source: TrainingSource, place: Place) -> dict[str, torch.Tensor]:
 def mixed(view: PackedView, name: str) -> dict[str, torch.Tensor]:
     """Mix one tuple under the last two of the view's stored lightings."""
     insert, base = view.conditions[-2:]
-    pictures = mix_tuple(view, name, insert=insert, base=base, camera=PLAIN)
+    pictures = mix_tuple(view, name, insert=insert, base=base, camera=PLAIN, own=np.zeros(len(insert), bool))
     return cropped_sample(view, pictures, centre_crop(*view.z_depth.shape), min(view.z_depth.shape))
 
 

@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 from multilight.scenes.frozen import Settings, UnitFloat
 
 Head = Literal["light", "gain", "residual", "direct"]
-Lighting = Literal["random", "wild", "stored", "both"]
+Lighting = Literal["random", "wild", "stored"]
 Input = Literal["background", "depth"]
 Fault = Literal["no depth", "depth with holes", "affine depth", "noisy depth", "guessed depth", "misplaced", "scaled"]
 FAULTS: tuple[Fault, ...] = get_args(Fault)
@@ -68,7 +68,7 @@ class DataConfig(Settings):
     """SQL expression over the dataset's index that chooses scenes, `kind = 'room'`, say."""
     lighting: Lighting = "random"
     """Lighting of the training samples: drawn anew for each, such as the dataset's conditions are or wild (in saturated
-    colours), two of the scene's stored conditions, or either of drawn and stored for every other sample."""
+    colours), or two of the scene's stored conditions."""
     augment: bool = True
     """Vary exposure, white balance, camera response, crop and direction."""
     faults: UnitFloat = 0.3
@@ -97,7 +97,9 @@ class LossConfig(Settings):
     """VGG19 weights (torchvision .pth or MatConvNet .mat); without: a stand-in, gradients and SSIM."""
     lights: Annotated[float, Field(ge=0, le=1)] = 1e-3
     """Weight of how far guessed lights are from the true ones, of a head that guesses them."""
-    far: Positive = 3.0
+    glow: Annotated[float, Field(ge=0, le=1)] = 0.01
+    """Weight of how wrong the same head is about where the object itself glows."""
+    far: Positive = 30.0
     """Of `log`: weight of the mean error elsewhere, against 1 of that on the object and its effect."""
 
 

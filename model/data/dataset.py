@@ -31,17 +31,18 @@ from multilight.model.data.lights import LEAST, SceneLights, read_lights
 from multilight.model.data.mixing import UNPAINTED, Pictures, mix_tuple
 from multilight.model.data.plan import Draw, Plan, places_of
 from multilight.model.data.settings import RIGHT, SampleSettings
-from multilight.scenes.arrays import Float32
+from multilight.scenes.arrays import Float32, Mask
 
 Sample = dict[str, Any]
 """Tensors and `meta`, as `MultiLightDataset` describes them."""
 
 
 class Lit(TypedDict):
-    """How a tuple is lit and taken: (L, 3) linear gains of the object, and of all else, and the camera."""
+    """How a tuple is lit and taken: (L, 3) linear gains of the object, and of all else, its own lights (L,), camera."""
 
     insert: Float32
     base: Float32
+    own: Mask
     camera: CameraResponse
 
 
@@ -55,6 +56,7 @@ class MultiLightDataset(Dataset[Sample]):
         depth    (1, S, S)  z_depth over the largest of the group; 1 where there is nothing; with `faults`, wrong
         z_depth  (1, S, S)  metres along the optical axis; 0 where there is nothing
         mask     (1, S, S)  the object's coverage of the pixel in [0, 1]
+        glow     (1, S, S)  the fraction of the object's light in the composite that is its own, times `mask`
         K        (3, 3)     pixels, pixel centres at (x + 0.5, y + 0.5)
         c2w      (4, 4)     camera to world, OpenGL axes, metres
         insert_gains, base_gains  (N, 3)  linear gains of the N lights in red, green and blue, exposure and white
@@ -171,11 +173,10 @@ def make_samples(
     views: list[PackedView], draw: Draw, settings: SampleSettings, lights: SceneLights
 ) -> list[dict[str, Tensor]]:
     """Light, mix, augment and frame the views of one sample: a dict of tensors each, without the view axis."""
-    rng = draw.rng
+    rng, own = draw.rng, lights.glow[draw.place.object][: len(views[0].lights)]
     if draw.conditions is None:
         temperature = lights.temperature[: len(views[0].lights)]
         insert, base = lit_conditions(rng, views, 2, temperature, wild=settings.lighting == "wild")
-        own = lights.glow[draw.place.object][: len(insert)]
         insert[own] = base[own]  # its glow is the object's own, and stays
     else:
         insert, base = (views[0].conditions[number] for number in draw.conditions)
@@ -188,7 +189,7 @@ def make_samples(
     paint = draw_paint(painter) if settings.augment else UNPAINTED
     faults = faulty.random() < settings.faults
     fault = settings.kinds[faulty.integers(len(settings.kinds))] if faults else None
-    lit: Lit = {"insert": insert, "base": base, "camera": camera}
+    lit: Lit = {"insert": insert, "base": base, "own": own, "camera": camera}
     result = []
     for view in views:
         pictures = _mixed(view, draw.place.object, draw_placement(faulty, fault), paint, lit)
@@ -220,8 +221,8 @@ def cropped_sample(view: PackedView, pictures: Pictures, crop: Crop, size: int) 
     """Crop and resize what was mixed; the sample lacks only `depth`, which is relative to the group's largest."""
     parts = [cropped(picture, crop) for picture in vars(pictures).values()]
     if crop.side != size:  # all in one go, which is cheaper
-        parts = list(resize(torch.cat(parts), size).clamp_(0.0, 1.0).split((3, 3, 3, 1)))
-    composite, background, target, mask = parts
+        parts = list(resize(torch.cat(parts), size).clamp_(0.0, 1.0).split((3, 3, 3, 1, 1)))
+    composite, background, target, mask, glow = parts
     intrinsics, c2w = cropped_camera(view.K, view.c2w, crop, size)
     return {
         "composite": composite,
@@ -229,6 +230,7 @@ def cropped_sample(view: PackedView, pictures: Pictures, crop: Crop, size: int) 
         "target": target,
         "effect": target - background,
         "mask": mask,
+        "glow": glow,
         "z_depth": resize(cropped(torch.from_numpy(view.z_depth)[None], crop), size, nearest=True),
         "K": torch.from_numpy(intrinsics),
         "c2w": torch.from_numpy(c2w),

@@ -11,8 +11,8 @@ from multilight.datagen.storage.object_variants import ALL, Variant
 from multilight.datagen.storage.packed import PackedView
 from multilight.model.configs.stage2d import Fault
 from multilight.model.data.augment import CameraResponse
-from multilight.model.data.mixing import Pictures, develop
-from multilight.scenes.arrays import Float32
+from multilight.model.data.mixing import Pictures, develop, fraction
+from multilight.scenes.arrays import Float32, Mask
 
 HOLES = 0.2
 """Fraction of a picture in which a sensor finds no depth."""
@@ -92,7 +92,7 @@ def _blurred(picture: Tensor, sigma: float) -> Tensor:
 
 
 def misplaced_tuple(
-    view: PackedView, name: str, place: Placement, *, insert: Float32, base: Float32, camera: CameraResponse
+    view: PackedView, name: str, place: Placement, *, insert: Float32, base: Float32, camera: CameraResponse, own: Mask
 ) -> Pictures:
     """Mix the tuple of an object that is pasted elsewhere, as `mixing.mix_tuple` does of one in its place.
 
@@ -108,10 +108,11 @@ def misplaced_tuple(
     whole, behind = mixed(ALL, base), mixed(Variant.without(name), base)
     came, true = (mixed(Variant.foreground(name), gains) for gains in (insert, base))
     around = whole - true + coverage * behind
-    moved = _moved(torch.cat((coverage, came, true)), coverage, place)
-    alpha, came, true = moved.split((1, 3, 3))
+    glow = coverage * fraction(mixed(Variant.foreground(name), insert * own[:, None]), came)
+    moved = _moved(torch.cat((coverage, glow, came, true)), coverage, place)
+    alpha, glow, came, true = moved.split((1, 1, 3, 3))
     composite, target = (paste + ground * (1.0 - alpha) for paste, ground in ((came, behind), (true, around)))
-    return Pictures(develop(composite, camera), develop(behind, camera), develop(target, camera), alpha)
+    return Pictures(develop(composite, camera), develop(behind, camera), develop(target, camera), alpha, glow)
 
 
 def _moved(layers: Tensor, coverage: Tensor, place: Placement) -> Tensor:

@@ -10,18 +10,22 @@ from torch import Tensor
 
 from multilight.datagen.storage.packed import SAME, TILE, PackedView
 from multilight.model.data.augment import CameraResponse, respond
-from multilight.scenes.arrays import Float32, Int64
+from multilight.scenes.arrays import Float32, Int64, Mask
 from multilight.scenes.colour import srgb_encode
 
 
 @dataclass(frozen=True)
 class Pictures:
-    """Display-encoded composite, background and target in [0, 1], (3, H, W), and coverage, (1, H, W); float32."""
+    """Display-encoded composite, background and target in [0, 1], (3, H, W), and coverage, (1, H, W); float32.
+
+    `glow` (1, H, W) is the fraction of the object's light in the composite that is its own, times coverage.
+    """
 
     composite: Tensor
     background: Tensor
     target: Tensor
     mask: Tensor
+    glow: Tensor
 
 
 UNPAINTED = np.ones(3, np.float32)
@@ -30,13 +34,20 @@ STEPS = 1 << 14  # of the square root of radiance, in the table of display value
 
 
 def mix_tuple(
-    view: PackedView, name: str, *, insert: Float32, base: Float32, camera: CameraResponse, paint: Float32 = UNPAINTED
+    view: PackedView,
+    name: str,
+    *,
+    insert: Float32,
+    base: Float32,
+    camera: CameraResponse,
+    own: Mask,
+    paint: Float32 = UNPAINTED,
 ) -> Pictures:
     """Mix the tuple of object `name`; `insert` and `base` are (L, 3) linear gains.
 
     As `datagen.tuples.compose` does, but the background is worked out only in tiles where it differs from the target,
     the composite only in those where the object covers something. The object's light is multiplied by `paint` (3,)
-    under either lighting; what its surroundings reflect of it is not.
+    under either lighting; what its surroundings reflect of it is not. `own` (L,) are the lights that it has itself.
     """
     number, layers = view.objects.index(name), _Layers(view)
     insert, base = insert * camera.gain, base * camera.gain
@@ -48,7 +59,8 @@ def mix_tuple(
     pasted = target[torch.from_numpy(covered)]
     _, here, there = np.intersect1d(covered, changed, assume_unique=True, return_indices=True)
     pasted[torch.from_numpy(here)] = behind[torch.from_numpy(there)]
-    pasted.mul_(1.0 - alpha).add_(layers.mixed_tiles(view.foreground[number], insert * paint, covered))
+    foreground = layers.mixed_tiles(view.foreground[number], insert * paint, covered)
+    pasted.mul_(1.0 - alpha).add_(foreground)
     if (paint != 1.0).any():
         repainted = layers.mixed_tiles(view.foreground[number], base * (paint - 1.0), covered)
         target.index_add_(0, torch.from_numpy(covered), repainted)
@@ -56,8 +68,19 @@ def mix_tuple(
     shown, parts = develop(target, camera), develop(torch.cat((behind, pasted)), camera)
     background = shown.index_copy(0, torch.from_numpy(changed), parts[: len(changed)])
     composite = background.index_copy(0, torch.from_numpy(covered), parts[len(changed) :])
-    mask = torch.zeros_like(shown[:, :1]).index_copy_(0, torch.from_numpy(covered), alpha)
-    return Pictures(*(_joined(tiles, view.z_depth.shape) for tiles in (composite, background, shown, mask)))
+    nothing = torch.zeros_like(shown[:, :1])
+    mask = nothing.index_copy(0, torch.from_numpy(covered), alpha)
+    glow = nothing
+    if (insert[own] > 0.0).any():
+        glowing = layers.mixed_tiles(view.foreground[number], insert * own[:, None] * paint, covered)
+        glow = nothing.index_copy(0, torch.from_numpy(covered), alpha * fraction(glowing, foreground))
+    return Pictures(*(_joined(tiles, view.z_depth.shape) for tiles in (composite, background, shown, mask, glow)))
+
+
+def fraction(part: Tensor, whole: Tensor) -> Tensor:
+    """Return the fraction of the light (..., 3, h, w) that is a part of it: (..., 1, h, w) in [0, 1]."""
+    part, whole = (light.sum(dim=-3, keepdim=True) for light in (part, whole))
+    return (part / whole.clamp(min=1e-6)).clamp(0.0, 1.0)
 
 
 def develop(radiance: Tensor, camera: CameraResponse) -> Tensor:

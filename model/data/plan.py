@@ -10,9 +10,6 @@ from multilight.datagen.errors import UserError
 from multilight.model.data.settings import SampleSettings
 from multilight.scenes.arrays import Int64
 
-HALF = 0.5
-"""Of the samples with both kinds of lighting, those with stored conditions."""
-
 
 @dataclass(frozen=True)
 class Place:
@@ -99,7 +96,7 @@ class Plan:
         place, lap = self.places[number], index // len(self.places)
         rng = generator(seed, epoch, index, 1)
         pair = None
-        if self.settings.lighting == "stored" or (self.settings.lighting == "both" and rng.random() < HALF):
+        if self.settings.lighting == "stored":
             pair = self._pair(int(generator(seed, epoch, number, 2).permutation(self.pairs)[lap % self.pairs]))
         return Draw(place, _views(place, self.settings.views, rng), pair, rng)
 

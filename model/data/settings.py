@@ -23,8 +23,7 @@ class SampleSettings:
     `size` is the side of the square pictures in pixels; `views` the number of views of one scene in a sample; `length`
     the samples an epoch. `split` and the SQL expression `where` over the dataset's index choose the scenes.
     `lighting` "random" draws gains and colours anew, such as the dataset's own conditions have, and meters them; "wild"
-    does so in saturated colours, whatever the dataset is; "stored" takes two of the scene's own conditions; "both"
-    draws for half of the samples, and takes stored ones for the others.
+    does so in saturated colours, whatever the dataset is; "stored" takes two of the scene's own conditions.
     `augment` varies exposure, white balance, camera response, crop and direction. Objects that cover fewer than
     `visible` pixels of a view are passed over. `right` is the probability that the object is lit rightly already (None:
     `RIGHT` where samples are augmented, else 0). With a probability of `faults` a sample has one of the faults `kinds`,

@@ -20,7 +20,7 @@ from multilight.datagen.errors import UserError
 from multilight.model.configs.stage2d import NetworkConfig
 from multilight.model.networks import light_head
 from multilight.model.networks.input_features import largest_near, linear_to_srgb, relief, soft_mask, srgb_to_linear
-from multilight.model.networks.light_head import LightHead, Lights
+from multilight.model.networks.light_head import Guess, LightHead
 from multilight.model.networks.pyramid import Pyramid
 
 LARGEST_LOG_GAIN = 4.0
@@ -266,22 +266,22 @@ class Compositing2D(nn.Module):
 
     def forward(
         self, composite: Tensor, background: Tensor, depth: Tensor, mask: Tensor | None = None, *, told: bool = False
-    ) -> Tensor | tuple[Tensor, Lights | None]:
+    ) -> Tensor | tuple[Tensor, Guess | None]:
         """Harmonize: (B, 3, H, W) display-encoded twice, (B, 1, H, W) depth in [0, 1] → (B, 3, H, W).
 
         `mask` (B, 1, H, W) in [0, 1], where given, replaces the estimated one. The result is display-encoded and, in
-        training, not clipped. With `told` the guessed lights come along, None of a head that guesses none.
+        training, not clipped. With `told` the guess comes along that it follows from, None of a head that makes none.
         """
         composite, background, depth = self.shown(composite, background, depth, mask)
         if mask is None:
             mask = soft_mask(composite, background)
-        maps, lights = self.predict(composite, background, depth, mask)
+        maps, guess = self.predict(composite, background, depth, mask)
         if self.config.head in GAIN_HEADS:
             image = apply_gains(maps, composite, background, mask)
         else:
             image = maps + composite if self.config.head == "residual" else maps.sigmoid()
         image = image if self.training else image.clamp(0.0, 1.0)
-        return (image, lights) if told else image
+        return (image, guess) if told else image
 
     def shown(
         self, composite: Tensor, background: Tensor, depth: Tensor, mask: Tensor | None
@@ -300,8 +300,8 @@ class Compositing2D(nn.Module):
 
     def predict(
         self, composite: Tensor, background: Tensor, depth: Tensor, mask: Tensor
-    ) -> tuple[Tensor, Lights | None]:
-        """Return what the head predicts, gain maps at `scale` or full-resolution (B, 3, H, W), and guessed lights."""
+    ) -> tuple[Tensor, Guess | None]:
+        """Return what the head predicts, gain maps at `scale` or full-resolution (B, 3, H, W), and the guess."""
         h, w = composite.shape[-2:]
         cues = (mask, relief(depth)) if self.config.cues else ()
         x = torch.cat((composite, background, depth, *cues), dim=1)
@@ -313,7 +313,7 @@ class Compositing2D(nn.Module):
             return functional.pixel_shuffle(maps, scale)[..., :h, :w].float(), None
         rows, columns = -(-h // scale), -(-w // scale)
         maps, features = maps[..., :rows, :columns], features[..., :rows, :columns]
-        seen, lights = statistics(composite, background, mask), None
+        seen, guess = statistics(composite, background, mask), None
         if self.config.head == "light":
             small = [
                 functional.adaptive_avg_pool2d(srgb_to_linear(p), (rows, columns)) for p in (composite, background)
@@ -321,13 +321,13 @@ class Compositing2D(nn.Module):
             inside = functional.adaptive_avg_pool2d(mask, (rows, columns))
             near = functional.interpolate(depth, size=(rows, columns), mode="nearest-exact")
             known = torch.cat((seen, deepest.mean((2, 3)), mean_inside(deepest, mask)), dim=1)
-            maps, lights = self.light(known.float(), maps.float(), *small, near, inside)
+            maps, guess = self.light(known.float(), maps.float(), *small, near, inside)
         inner, outer = maps.chunk(2, dim=1)
         if self.config.head == "gain":
             inner = inner + self.overall(torch.cat((seen, mean_inside(features, mask)), dim=1))[..., None, None]
         if not self.training:  # where it would have no gradient
             outer = without_least(outer)
-        return torch.cat((inner, outer), dim=1).float(), lights
+        return torch.cat((inner, outer), dim=1).float(), guess
 
 
 def mean_inside(features: Tensor, mask: Tensor) -> Tensor:

@@ -36,6 +36,15 @@ class Lights(NamedTuple):
     softness: Tensor
 
 
+class Guess(NamedTuple):
+    """What the head took the picture for: the background's lights, and the fraction of the object's light that is its
+    own glow, (B, 1, h, w) as a logit.
+    """
+
+    lights: Lights
+    glow: Tensor
+
+
 class LightHead(nn.Module):
     """From what is known of the picture to the lights, and on to logarithms of gains."""
 
@@ -52,10 +61,10 @@ class LightHead(nn.Module):
 
     def forward(
         self, known: Tensor, maps: Tensor, composite: Tensor, background: Tensor, depth: Tensor, mask: Tensor
-    ) -> tuple[Tensor, Lights]:
+    ) -> tuple[Tensor, Guess]:
         """Light: known (B, F), maps (B, 12 + 4, h, w), linear pictures (B, 3, h, w), depth and mask (B, 1, h, w).
 
-        Returns gain maps (B, 12, h, w) and the background's lights. Of the maps, the first twelve are log-gains and
+        Returns gain maps (B, 12, h, w) and what they follow from. Of the maps, the first twelve are log-gains and
         offsets, of the object and of its surroundings, to which the lights' are added.
         """
         places = points(depth)
@@ -71,9 +80,10 @@ class LightHead(nn.Module):
         left = irradiance(facing, here.directions, here.colours, here.ambient, seen)
         shadow = (left / lit).log() * strength * 2.0 * fraction[:, :3].sigmoid() * (depth < 1.0)
         gain, offset = (inner + overall).chunk(2, dim=1)
-        glow = (fraction[:, 3:] + KEPT).sigmoid()
+        logit = fraction[:, 3:] + KEPT
+        glow = logit.sigmoid()
         gain = (glow + (1.0 - glow) * (gain + (lit / came).log()).clamp(-4.0, 4.0).exp()).log()
-        return torch.cat((gain, (1.0 - glow) * offset, outer[:, :3] + shadow, outer[:, 3:]), dim=1), here
+        return torch.cat((gain, (1.0 - glow) * offset, outer[:, :3] + shadow, outer[:, 3:]), dim=1), Guess(here, logit)
 
     def _lights(self, told: Tensor) -> Lights:
         each, ambient = told.split((LIGHTS * OF_LIGHT, 3), dim=1)

@@ -16,7 +16,7 @@ from multilight.model.data import MultiLightDataset, SampleSettings
 ENDLESS = 1 << 40  # samples; the dataset's order is a pure function of the sample's number
 STAGE_SAMPLES = 1 << 32  # every stage draws from numbers of its own
 FIELDS = (
-    "composite", "background", "depth", "target", "mask", "effect", "K", "light_towards", "light_fraction"
+    "composite", "background", "depth", "target", "mask", "glow", "effect", "K", "light_towards", "light_fraction"
 )  # fmt: skip
 
 
@@ -33,7 +33,7 @@ ALONE = Process()
 
 @dataclass(frozen=True)
 class Batch:
-    """Pictures of one step: (B, 3, S, S), `depth` and `mask` (B, 1, S, S); `meta` says where they come from.
+    """Pictures of one step: (B, 3, S, S), `depth`, `mask` and `glow` (B, 1, S, S); `meta` says where they come from.
 
     `K` and lights are those of `MultiLightDataset`.
     """
@@ -43,6 +43,7 @@ class Batch:
     depth: Tensor
     target: Tensor
     mask: Tensor
+    glow: Tensor
     effect: Tensor
     K: Tensor
     light_towards: Tensor

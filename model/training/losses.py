@@ -149,6 +149,16 @@ def light_loss(lights: Lights, sample: Batch) -> Tensor:
     return -(weight * (brightness[:, None] + near).logsumexp(2)).sum(1)
 
 
+def glow_loss(logit: Tensor, sample: Batch) -> Tensor:
+    """Return how wrong guessed glow (B, 1, h, w), a logit, is on the object: (B,), the mean cross-entropy [nat]."""
+    mask, glow = (
+        functional.adaptive_avg_pool2d(x, (logit.shape[-2], logit.shape[-1])) for x in (sample.mask, sample.glow)
+    )
+    true = glow / mask.clamp(min=1e-3)
+    wrong = functional.binary_cross_entropy_with_logits(logit.float(), true.clamp(0.0, 1.0), reduction="none")
+    return (wrong * mask).flatten(1).sum(1) / mask.flatten(1).sum(1).clamp(min=1.0)
+
+
 def seen_by_plain_lens(directions: Tensor, intrinsics: Tensor, side: int) -> Tensor:
     """Return unit directions (B, N, 3) of a camera with K (B, 3, 3) and square pictures as `shading` takes them to be.
 

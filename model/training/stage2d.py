@@ -15,7 +15,7 @@ from multilight.model.configs.stage2d import TrainingConfig
 from multilight.model.device import chosen_device
 from multilight.model.networks.compositing2d import Compositing2D
 from multilight.model.training.batches import ALONE, Batch, Process, stage_at, training_batches, validation_batches
-from multilight.model.training.losses import light_loss
+from multilight.model.training.losses import glow_loss, light_loss
 from multilight.model.training.trainer import Images, Trainer, remove_run
 
 
@@ -61,11 +61,12 @@ class Trainer2D(Trainer[Batch]):
 
     def _losses(self, sample: Batch) -> dict[str, Tensor]:
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.bf16):
-            image, lights = self.module(sample.composite, sample.background, sample.depth, sample.mask, told=True)
+            image, guess = self.module(sample.composite, sample.background, sample.depth, sample.mask, told=True)
         losses: dict[str, Tensor] = self.loss(image.float(), sample.target, sample.mask, sample.effect)
-        if lights is not None:
-            losses["lights"] = light_loss(lights, sample)
-            losses["loss"] = losses["loss"] + self.config.loss.lights * losses["lights"]
+        if guess is not None:
+            losses |= {"lights": light_loss(guess.lights, sample), "glow": glow_loss(guess.glow, sample)}
+            for name, weight in (("lights", self.config.loss.lights), ("glow", self.config.loss.glow)):
+                losses["loss"] = losses["loss"] + weight * losses[name]
         return losses
 
     def _images(self, sample: Batch) -> Images:

@@ -209,10 +209,7 @@ def test_a_killed_runs_rows_are_found(
 
 
 def test_scenes_that_are_set_aside(
-    bucket: FaultyBucket,
-    alone: dict[str, bytes],
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    bucket: FaultyBucket, alone: dict[str, bytes], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(running, "TRIES", 1)
     put(bucket, {name: content for name, content in alone.items() if "/000003/" not in name})

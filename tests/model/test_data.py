@@ -35,6 +35,7 @@ from multilight.lights.spec import (
 )
 from multilight.model.data import MultiLightDataset, MultiLightStream, SampleSettings
 from multilight.model.data.augment import PLAIN, draw_camera, respond
+from multilight.model.data.faults import Placement, misplaced_tuple
 from multilight.model.data.lighting import draw_gains, tints
 from multilight.model.data.lights import KINDS, SceneLights, read_lights
 from multilight.model.data.mixing import mix_tuple
@@ -77,7 +78,8 @@ def test_shapes_and_ranges(packed: Path, views: int) -> None:
     for sample in DataLoader(opened(packed, views=views, length=20), batch_size=None):
         for name, shape in {
             "composite": (3, 32, 32), "background": (3, 32, 32), "target": (3, 32, 32), "effect": (3, 32, 32),
-            "depth": (1, 32, 32), "z_depth": (1, 32, 32), "mask": (1, 32, 32), "K": (3, 3), "c2w": (4, 4),
+            "depth": (1, 32, 32), "z_depth": (1, 32, 32), "mask": (1, 32, 32), "glow": (1, 32, 32),
+            "K": (3, 3), "c2w": (4, 4),
             "insert_gains": (8, 3), "base_gains": (8, 3), "light_position": (8, 3), "light_direction": (8, 3),
             "light_towards": (8, 3), "light_fraction": (8,),
             "light_amount": (8, 3), "light_size": (8,),
@@ -128,7 +130,9 @@ def test_a_painted_object_is_lit_alike_in_another_colour(packed: Path) -> None:
         draw = data.plan.draw(0, index)
         view, name = data.source.view(draw.place.scene, draw.views[0]), draw.place.object
         insert, base = view.conditions[0], view.conditions[1]
-        found = mix_tuple(view, name, insert=insert, base=base, camera=PLAIN, paint=paint)
+        found = mix_tuple(
+            view, name, insert=insert, base=base, camera=PLAIN, own=np.zeros(len(insert), bool), paint=paint
+        )
         alpha = view.object_coverage(name)[..., None].astype(np.float32)
 
         def mixed(variant: str, gains: Float32, view: PackedView = view) -> Float32:
@@ -143,6 +147,23 @@ def test_a_painted_object_is_lit_alike_in_another_colour(packed: Path) -> None:
         for what, linear in wanted.items():
             shown = srgb_encode(tone_curve(linear.clip(min=0))).transpose(2, 0, 1)
             np.testing.assert_allclose(getattr(found, what).numpy(), shown, atol=2e-4, err_msg=what)
+
+
+def test_glow_is_the_fraction_of_the_objects_own_light(packed: Path) -> None:
+    data = opened(packed, length=6)
+    for index in range(len(data)):
+        draw = data.plan.draw(0, index)
+        view, name = data.source.view(draw.place.scene, draw.views[0]), draw.place.object
+        insert, base = view.conditions[0], view.conditions[1]
+        own = np.arange(len(insert)) == insert.sum(axis=1).argmax()
+        lit: Any = {"insert": insert, "base": base, "camera": PLAIN, "own": own}
+        layers = view.variant(f"foreground_{name}").astype(np.float32)
+        shares = [np.einsum("lhwc,lc->hw", layers, gains) for gains in (insert * own[:, None], insert)]
+        wanted = view.object_coverage(name) * shares[0] / np.maximum(shares[1], 1e-6)
+        assert wanted.max() > 0.2
+        for found in (mix_tuple(view, name, **lit), misplaced_tuple(view, name, Placement(), **lit)):
+            np.testing.assert_allclose(found.glow[0], wanted, atol=2e-3)
+        assert mix_tuple(view, name, **(lit | {"own": np.zeros_like(own)})).glow.max() == 0.0
 
 
 def test_a_sample_depends_on_seed_epoch_and_index_only(packed: Path) -> None:
@@ -186,13 +207,6 @@ def test_no_stored_tuple_comes_twice(packed: Path) -> None:
     with pytest.raises(UserError, match=f"{places * pairs} different tuples"):
         opened(packed, lighting="stored", length=places * pairs + 1)
     assert len(opened(packed, lighting="stored", length=places * pairs + 1, repeat=True)) == places * pairs + 1
-
-
-def test_both_kinds_of_lighting_take_turns(packed: Path) -> None:
-    plan = opened(packed, lighting="both", length=200).plan
-    stored = [plan.draw(0, index).conditions for index in range(200)]
-    assert 70 < sum(pair is not None for pair in stored) < 130
-    assert all(pair[0] != pair[1] for pair in stored if pair)
 
 
 def test_no_drawn_tuple_comes_twice(packed: Path) -> None:

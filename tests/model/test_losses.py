@@ -1,5 +1,6 @@
 """Losses against closed forms and independent implementations; VGG19 weights in both file formats."""
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -7,12 +8,14 @@ import pytest
 import torch
 from scipy.io import savemat
 from torch import Tensor, nn
+from torch.nn import functional
 from torchmetrics.functional.image import structural_similarity_index_measure
 
 from multilight.datagen.errors import UserError
 from multilight.model.configs.stage2d import LossConfig
-from multilight.model.training.losses import CompositingLoss, StructureDistance, changed_and_elsewhere, ssim
+from multilight.model.training.losses import CompositingLoss, StructureDistance, changed_and_elsewhere, glow_loss, ssim
 from multilight.model.training.vgg import VGG19Features, load_vgg19
+from tests.model.test_training import a_batch
 
 LAYERS = (64, 64, "pool", 128, 128, "pool", 256, 256, 256, 256, "pool", 512, 512, 512, 512, "pool", 512, 512, 512, 512)
 
@@ -163,6 +166,16 @@ def test_errors_are_averaged_over_what_the_object_changes_and_over_the_rest() ->
     inside, outside = changed_and_elsewhere(error, mask, effect)
     assert torch.allclose(inside, torch.tensor([(16 * 3 + 4 * 7) / 20, 3.0]))
     assert torch.allclose(outside, torch.tensor([(40 + 4 * 7) / 44, 1.0]))
+
+
+def test_glow_is_judged_on_the_object_alone() -> None:
+    batch = a_batch(2)
+    batch.glow[1] = batch.mask[1]
+    sure = torch.full((2, 1, 16, 16), 20.0)
+    torch.testing.assert_close(glow_loss(sure, batch), torch.tensor([20.0, 0.0]), atol=1e-4, rtol=0)
+    torch.testing.assert_close(glow_loss(0 * sure, batch), torch.full((2,), math.log(2)))
+    outside = torch.where(functional.avg_pool2d(batch.mask, 2) > 0, -20.0, 20.0)
+    torch.testing.assert_close(glow_loss(outside, batch), torch.tensor([0.0, 20.0]), atol=1e-4, rtol=0)
 
 
 def test_a_small_object_counts_like_a_large_one() -> None:

@@ -196,8 +196,9 @@ def a_batch(count: int = 4, size: int = 32) -> Batch:
     meta = {"scene": torch.arange(count), "view": torch.zeros(count), "object": ["box"] * count}
     lights = torch.zeros(len(mask), 8)
     return Batch(
-        composite, background, depth, target, mask, target - background, torch.eye(3)[None], lights, lights, meta
-    )
+        composite, background, depth, target, mask, 0 * mask, target - background, torch.eye(3)[None], lights, lights,
+        meta,
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("head", ["light", "gain", "residual", "direct"])
