@@ -155,9 +155,9 @@ def test_glow_is_the_fraction_of_the_objects_own_light(packed: Path) -> None:
         draw = data.plan.draw(0, index)
         view, name = data.source.view(draw.place.scene, draw.views[0]), draw.place.object
         insert, base = view.conditions[0], view.conditions[1]
-        own = np.arange(len(insert)) == insert.sum(axis=1).argmax()
-        lit: Any = {"insert": insert, "base": base, "camera": PLAIN, "own": own}
         layers = view.variant(f"foreground_{name}").astype(np.float32)
+        own = np.arange(len(insert)) == np.einsum("lhwc,lc->l", layers, insert).argmax()
+        lit: Any = {"insert": insert, "base": base, "camera": PLAIN, "own": own}
         shares = [np.einsum("lhwc,lc->hw", layers, gains) for gains in (insert * own[:, None], insert)]
         wanted = view.object_coverage(name) * shares[0] / np.maximum(shares[1], 1e-6)
         assert wanted.max() > 0.2

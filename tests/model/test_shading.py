@@ -104,16 +104,16 @@ def test_the_head_changes_nothing_before_it_has_learnt_and_its_gradients_are_fin
     head = LightHead(5)
     depth, mask = ball(32)
     known, maps = torch.randn(1, 5), torch.zeros(1, 12 + CHANNELS, 32, 32)
-    found, lights = head(known, maps, PICTURE, PICTURE, depth, mask)
+    found, guess = head(known, maps, PICTURE, PICTURE, depth, mask)
     torch.testing.assert_close(found, torch.zeros_like(found), atol=1e-6, rtol=0.0)
-    torch.testing.assert_close(lights.directions.norm(dim=2), torch.ones(1, 3))
+    torch.testing.assert_close(guess.lights.directions.norm(dim=2), torch.ones(1, 3))
     torch.nn.init.normal_(head.last.weight, std=0.3)
     maps = torch.randn(1, 12 + CHANNELS, 32, 32, requires_grad=True)
     flat, nothing = torch.full_like(depth, 0.5), torch.zeros_like(mask)
     for where, what in ((depth, mask), (flat, mask), (depth, nothing), (torch.ones_like(depth), mask)):
-        found, lights = head(known, maps, PICTURE, PICTURE, where, what)
+        found, guess = head(known, maps, PICTURE, PICTURE, where, what)
         head.zero_grad()
-        (found.square().sum() + lights.softness.sum()).backward()
+        (found.square().sum() + guess.lights.softness.sum()).backward()
         assert torch.isfinite(found).all()
         for parameter in (*head.parameters(), maps):
             assert parameter.grad is not None
