@@ -15,6 +15,7 @@ from multilight.datagen.files.outputs import check_folder
 from multilight.datagen.pages.render import data_uri, render_page
 from multilight.datagen.storage.store import write_text
 from multilight.datagen.text import markdown as escaped
+from multilight.model.evaluation.cases import VARIANT
 from multilight.model.evaluation.metrics import HIGHER_IS_BETTER, METRICS, REGIONS, Scores, flip_picture
 from multilight.model.evaluation.run import JUDGED_BY, Evaluation, Shown
 from multilight.model.inference.pictures import to_bytes
@@ -64,7 +65,11 @@ def tables_of(found: Evaluation) -> list[Table]:
         tables += [_metric_table(metric, means) for metric in metrics]
     tables.append(_cost_table(found))
     if any(means.values()):
-        tables += [_subset_table(found, region) for region in sorted(REGIONS, key=lambda region: region != JUDGED_BY)]
+        regions = sorted(REGIONS, key=lambda region: region != JUDGED_BY)
+        over = tuple(subset for subset in found.subsets if subset.startswith(VARIANT))
+        plain = tuple(subset for subset in found.subsets if subset not in over)
+        tables += [_subset_table(found, region, "by subset", plain) for region in regions]
+        tables += [_subset_table(found, region, "made over", over) for region in regions if over]
     return tables
 
 
@@ -89,15 +94,14 @@ def _cost_table(found: Evaluation) -> Table:
     return Table("Consistency and cost", note, columns, rows, (2, 2, 3, 0), (None, False, None, None))
 
 
-def _subset_table(found: Evaluation, region: str) -> Table:
-    subsets = found.subsets
+def _subset_table(found: Evaluation, region: str, title: str, subsets: tuple[str, ...]) -> Table:
     rows = {}
     for method in found.methods:
         scores = [found.means(method, subset) for subset in subsets]
         rows[method] = tuple(each.get(region, {}).get("PSNR", math.nan) for each in scores)
-    columns = tuple(f"{subset} ({len(found.frames_of(subset))})" for subset in subsets)
+    columns = tuple(f"{subset.removeprefix(VARIANT)} ({len(found.frames_of(subset))})" for subset in subsets)
     size = len(subsets)
-    return Table(f"PSNR by subset: {region}", "dB; number of frames", columns, rows, (2,) * size, (True,) * size)
+    return Table(f"PSNR {title}: {region}", "dB; number of frames", columns, rows, (2,) * size, (True,) * size)
 
 
 def markdown(tables: list[Table], about: Mapping[str, str]) -> str:
