@@ -156,7 +156,8 @@ class Soak:
             file.write("\n" * bool(seen))  # the last line may have been cut
         for process in self.processes().values():  # their watcher was killed
             with contextlib.suppress(psutil.NoSuchProcess):
-                process.kill()
+                if "resource_tracker" not in " ".join(process.cmdline()):  # it clears up after them, and ends
+                    process.kill()
         self.start()
 
     def start(self) -> None:
