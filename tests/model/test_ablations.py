@@ -254,6 +254,10 @@ def test_fewer_scenes_nest_and_are_drawn() -> None:
     assert scenes_in(next(iter(fewer_scenes(numbers, 1).values()))) != found[0]
 
 
+def test_of_many_scenes_the_steps_are_wider() -> None:
+    assert [len(scenes_in(values)) for values in fewer_scenes(range(2042), 0).values()] == [45, 186, 681, 2042]
+
+
 def test_conditions_rendered_anew_leave_few_scenes() -> None:
     numbers = list(range(3, 43))
     drawn, stored, anew, fifth, fifth_anew = stored_lighting(numbers, 12, 0).values()
