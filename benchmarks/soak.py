@@ -17,6 +17,7 @@ import signal
 import statistics
 import subprocess
 import sys
+import threading
 import time
 from collections import Counter
 from collections.abc import Iterable
@@ -148,6 +149,8 @@ class Soak:
     def __init__(self, options: Options, arguments: list[str]) -> None:
         self.options, self.out, self.lines = options, options.out.absolute(), options.lines.absolute()
         self.temporary = self.lines.with_suffix(".tmp")
+        self.asked = threading.Event()  # to end, between two steps
+        signal.signal(signal.SIGTERM, lambda *_: self.asked.set())
         self.temporary.mkdir(parents=True, exist_ok=True)
         self.command = [sys.executable, "-m", "multilight", "dataset", "--out", str(self.out), *arguments]
         seen = [line for line in read(self.lines) if "scenes" in line]
@@ -213,22 +216,22 @@ class Soak:
             self.tell({"fault": fault, "victim": victim.pid})
             if fault == STOPPED:
                 victim.suspend()
-                time.sleep(rng.uniform(1, 20))
+                self.asked.wait(rng.uniform(1, 20))
                 victim.resume()
             else:
                 victim.kill()
 
     def run(self) -> int:
-        """Go on for so many hours, or until the command ends by itself; return its exit code."""
+        """Go on for so many hours, until asked to end, or until the command ends by itself; return the exit code."""
         options = self.options
-        while self.ticks * options.interval < options.hours * 3600:
+        while self.ticks * options.interval < options.hours * 3600 and not self.asked.is_set():
             until = time.monotonic() + options.interval
             rng = random.Random(f"{options.faults_seed} {self.ticks}")
             if rng.random() * options.every * 60 < options.interval:
-                time.sleep(rng.uniform(0, options.interval))
+                self.asked.wait(rng.uniform(0, options.interval))
                 self.disturb(rng)
-            while time.monotonic() < until and self.driver.poll() is None:
-                time.sleep(0.2)
+            while time.monotonic() < until and self.driver.poll() is None and not self.asked.wait(0.2):
+                pass
             self.ticks += 1
             code = self.driver.poll()
             if code is None:
@@ -237,7 +240,7 @@ class Soak:
                 self.start()
             else:
                 return code
-        return 0
+        return 128 + signal.SIGTERM if self.asked.is_set() else 0
 
     def end(self) -> None:
         """End the run, and see what is left of it."""
@@ -267,7 +270,6 @@ def main(options: Options, arguments: list[str]) -> int:
     code = 0
     if not options.summary:
         os.nice(19)
-        signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
         soak = Soak(options, arguments)
         try:
             code = soak.run()

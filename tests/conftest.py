@@ -14,6 +14,8 @@ import pytest
 
 from multilight.datagen.backends.machine.mitsuba_variant import choose_variant, prepare_environment
 from multilight.datagen.cli import main
+from multilight.datagen.report import silent
+from multilight.datagen.storage.pack import pack_dataset
 from multilight.datagen.storage.records import SceneRecord
 from multilight.datagen.storage.store import ViewData, read_scene, read_view, scene_dir
 from multilight.scenes.assets import mesh_memory
@@ -120,6 +122,21 @@ def capture(capture_folders: dict[str, Path]) -> "Capture":
     from multilight.model.captures.read import read_capture  # torch is an extra
 
     return read_capture(capture_folders["nerfstudio"])
+
+
+@pytest.fixture(scope="module")
+def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("MULTILIGHT_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+@pytest.fixture(scope="module")
+def packed(spheres_dataset: Path, own_cache: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The packed copy of the closed-form dataset, and a cache of the tests' own."""
+    out = tmp_path_factory.mktemp("packed") / "copy"
+    pack_dataset(str(spheres_dataset), out, workers=1, report=silent)
+    return out
 
 
 @pytest.fixture(scope="module")

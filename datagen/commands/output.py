@@ -14,6 +14,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+from multilight.datagen.commands.terminal import end_if_asked
 from multilight.datagen.files.outputs import check_file
 from multilight.datagen.report import LOG, Report, event
 from multilight.datagen.storage.open_dataset import repair_command
@@ -78,12 +79,18 @@ class _Meter:
 def progress(unit: str, note: str) -> Iterator[Report]:
     """Show progress as a bar on a terminal, as a line a minute elsewhere; yields what to report to.
 
-    `note` says what is going on until a report says otherwise. What is over within seconds shows no line.
+    `note` says what is going on until a report says otherwise. What is over within seconds shows no line. A report ends
+    the command that was asked to end and did not hear it.
     """
     console = Console(stderr=True)
     meter = _Meter(unit, note, time.monotonic())
     with _bar(console, meter) if console.is_terminal else _lines(console, meter) as report:
-        yield report
+
+        def heard(done: float, total: float, note: str = "") -> None:
+            end_if_asked()
+            report(done, total, note)
+
+        yield heard
 
 
 @contextlib.contextmanager

@@ -75,11 +75,22 @@ def check_memory() -> None:
         )
 
 
+_asked: list[int] = []
+"""The signals that asked the command to end."""
+
+
+def end_if_asked() -> None:
+    """Raise `EndedError` again where a signal came while a library was being loaded that swallowed it."""
+    if _asked and sys.exc_info()[1] is None and threading.current_thread() is threading.main_thread():
+        raise EndedError(_asked[-1])
+
+
 @contextlib.contextmanager
 def signals_end_it() -> Iterator[None]:
     """Have TERM and HUP raise `EndedError`, so that what was begun is stopped and cleared away."""
 
     def end(number: int, frame: FrameType | None) -> None:
+        _asked.append(number)
         raise EndedError(number)
 
     taken = []
@@ -93,6 +104,7 @@ def signals_end_it() -> Iterator[None]:
     finally:
         for number in taken:
             signal.signal(number, signal.SIG_DFL)
+        _asked.clear()
 
 
 def drop_unwritten() -> None:

@@ -174,6 +174,11 @@ def _open_record(plan: Plan, renderer: RendererName, home: Home, here: Makers) -
             f"{name} was made with renderer {record.renderer!r} and cannot be continued with {renderer!r}; "
             f"use --renderer {record.renderer} or another --out"
         )
+    if record.variant == "scalar_rgb":
+        raise UserError(
+            f"{name} was made with Mitsuba's variant 'scalar_rgb', which is gone and looks different; "
+            "it can be read, but not continued: use another --out"
+        )
     same = same_background(record, plan.config.background)
     if other := record.other_settings(plan.config, same_background=same):
         raise UserError(
@@ -196,15 +201,22 @@ def _new_record(plan: Plan, renderer: RendererName, here: Makers) -> DatasetReco
 
 
 def _restored_record(plan: Plan, renderer: RendererName, home: Home, here: Makers, error: StoreError) -> DatasetRecord:
-    """Write a damaged `dataset.json` anew from the options given, where every record that can be read agrees."""
+    """Write a damaged `dataset.json` anew from the options given, where every record that can be read agrees.
+
+    Where none of the scenes can be read, nothing says that they are not of another version: they are left alone.
+    """
     how = f"give --repair and the options that {plan.place} was made with"
     if not plan.repair:
         raise UserError(f"{error}; to write it anew, {how}")
     record = DatasetRecord(config=plan.config, renderer=renderer, versions={})
-    for index in scene_names(home.place) or ():
+    scenes, agree = scene_names(home.place) or [], 0
+    for index in scenes:
         with contextlib.suppress(StoreError):
             if reason := record.misfit(read_record(home.place, index)):
                 raise UserError(f"{error}; to write it anew, {how}: of scene {index} {reason}")
+            agree += 1
+    if scenes and not agree:
+        raise UserError(f"{error}; none of its {len(scenes)} scenes can be read either: choose another --out")
     print(f"{error}; it is written anew from the options given", file=sys.stderr)
     return _new_record(plan, renderer, here)
 

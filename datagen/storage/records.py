@@ -49,6 +49,9 @@ class Schema(Frozen):
             raise ValueError(f"schema version {version!r} cannot be read; this program reads {SCHEMA_VERSION}")
         if info.mode == "json" and data.get("record_sha256") != record_hash(data):
             raise ValueError("it was changed: it is not what its own hash (record_sha256) says")
+        config = data.get("config")
+        if info.mode == "json" and isinstance(config, dict) and "wild" not in config:  # of early builds of 0.2.0
+            data = data | {"config": config | {"wild": True}}
         return data
 
 

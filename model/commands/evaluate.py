@@ -53,10 +53,10 @@ class Evaluate:
             raise UserError(f"--size {self.cases.size}: no picture shows enough of its object; choose a larger one")
         from multilight.model.evaluation.page import markdown, tables_of, write_evaluation
 
-        about = self._about(len(found.frames))
+        about = self._about(len(found.frames_of(None)))
         write_evaluation(found, about, self.out)
         print(markdown(tables_of(found), about))
-        print_written(self.out, f"index.html, table.md, evaluation.json; {len(found.frames)} frames")
+        print_written(self.out, f"index.html, table.md, evaluation.json; {len(found.frames)} frames in all")
         return 0
 
     def _compared(self, report: "Report") -> "Evaluation":

@@ -12,6 +12,7 @@ from multilight.datagen.storage.packed import PackedView
 from multilight.model.configs.stage2d import Fault
 from multilight.model.data.augment import CameraResponse
 from multilight.model.data.mixing import Pictures, develop, fraction
+from multilight.model.networks.shading import blur
 from multilight.scenes.arrays import Float32, Mask
 
 HOLES = 0.2
@@ -70,7 +71,8 @@ def wrong_depth(depth: Tensor, fault: Fault, rng: np.random.Generator) -> Tensor
         amount = float(np.exp(rng.uniform(*np.log(NOISE))))
         wrong = depth * torch.exp(amount * torch.from_numpy(rng.standard_normal(depth.shape).astype(np.float32)))
     else:
-        inverse = _blurred(1.0 / depth.clamp(min=NEAREST), SOFT * depth.shape[-1])
+        sigma, inverse = SOFT * depth.shape[-1], 1.0 / depth.clamp(min=NEAREST)
+        inverse = (blur(inverse[None], sigma) / blur(torch.ones_like(inverse)[None], sigma))[0]
         wrong = 1.0 / (inverse * torch.exp(BENT * _smooth(rng, depth.shape[-1], 4)))
     wrong = wrong.clamp(min=NEAREST)
     return torch.where(known, wrong / (wrong[known].max() * 1.0001), depth)
@@ -80,15 +82,6 @@ def _smooth(rng: np.random.Generator, side: int, cells: int) -> Tensor:
     """Draw noise of about unit variance that changes over `cells` a side: (1, side, side)."""
     coarse = torch.from_numpy(rng.standard_normal((1, 1, cells, cells)).astype(np.float32))
     return functional.interpolate(coarse, size=(side, side), mode="bicubic", align_corners=True)[0]
-
-
-def _blurred(picture: Tensor, sigma: float) -> Tensor:
-    """Blur (1, S, S) with a Gaussian of `sigma` pixels, edges carried on."""
-    reach = max(1, round(2.5 * sigma))
-    weights = torch.exp(-0.5 * (torch.arange(-reach, reach + 1) / max(sigma, 0.3)) ** 2)
-    kernel = (weights / weights.sum()).view(1, 1, 1, -1)
-    picture = functional.pad(picture[None], (reach, reach, reach, reach), mode="replicate")
-    return functional.conv2d(functional.conv2d(picture, kernel), kernel.transpose(2, 3))[0]
 
 
 def misplaced_tuple(

@@ -21,6 +21,7 @@ from multilight.datagen.cli import main
 from multilight.datagen.config.dataset import DatasetConfig
 from multilight.datagen.production.scene import SceneMaker, make_scene
 from multilight.datagen.storage.layers import LayerStack
+from multilight.datagen.storage.records import DatasetRecord, record_hash
 from multilight.datagen.storage.store import file_sha256, read_scene, scene_dir, scene_indices
 from multilight.datagen.verification.views import verify_views
 from multilight.scenes.assets.library import AssetLibrary
@@ -240,3 +241,24 @@ def test_full_disk_is_said_and_finished_scenes_stay(small_disk: Path) -> None:
         assert [fault["message"].startswith(told) for fault in found if fault["check"] != "index"] == [True]
     finally:
         subprocess.run(["umount", "-l", str(small_disk)], check=True)
+
+
+def test_continuing_with_mitsubas_former_scalar_variant_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root = tmp_path / "d"
+    root.mkdir()
+    config = DatasetConfig(renderer="mitsuba")
+    for variant, told in (("scalar_rgb", True), ("llvm_ad_rgb", False)):
+        record = DatasetRecord(config=config, renderer="mitsuba", variant=variant, versions={}).sealed()
+        (root / "dataset.json").write_text(record.model_dump_json())
+        assert run("dataset", "--out", root, "--renderer", "mitsuba", "--width", 32) == 1
+        assert ("'scalar_rgb'" in capsys.readouterr().err) == told
+
+
+def test_lights_were_wild_before_configurations_said_so() -> None:
+    record = DatasetRecord(config=DatasetConfig(), renderer="mitsuba", versions={}).model_dump(mode="json")
+    del record["config"]["wild"]
+    record["record_sha256"] = record_hash(record)
+    assert DatasetRecord.from_json(json.dumps(record)).config.wild
+    assert not DatasetConfig().wild

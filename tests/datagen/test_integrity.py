@@ -210,6 +210,28 @@ PASSED = ("extra file in a scene", "extra view", "empty folder in a scene", "mor
 """What plain continuing leaves as it is, or what asks for more scenes."""
 
 
+@pytest.fixture(params=[2, 4])
+def foreign(request: pytest.FixtureRequest, spheres_copy: Path) -> Path:
+    """A dataset of another schema."""
+    for path in (*spheres_copy.glob("scenes/*/scene.json"), spheres_copy / "dataset.json"):
+        path.write_text(json.dumps(json.loads(path.read_text()) | {"schema_version": request.param}))
+    return spheres_copy
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("dataset", "--out"), ("dataset", "--repair", "--scenes", "2", *SPHERES, "--out"), ("verify",), ("query",)],
+)
+def test_datasets_of_another_schema_are_refused_and_left_alone(
+    foreign: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...]
+) -> None:
+    before = contents(foreign)
+    assert run(*words, foreign) == 1
+    said = "".join(capsys.readouterr())
+    assert "this program reads 3" in said
+    assert contents(foreign) == before
+
+
 @pytest.mark.parametrize("kind", QUICK)
 def test_damage_is_found_by_a_quick_look_and_by_a_full_one(spheres_copy: Path, kind: str) -> None:
     damage, expected = QUICK[kind]

@@ -3,7 +3,6 @@
 import json
 import pickle
 import shutil
-from collections.abc import Iterator
 from dataclasses import replace
 from operator import methodcaller
 from pathlib import Path
@@ -28,22 +27,12 @@ from multilight.model.data import MultiLightDataset, SampleSettings
 from multilight.scenes.colour import luminance
 from tests.datagen.chain import chain, rewrite_json
 
+pytestmark = pytest.mark.usefixtures("own_cache")
+
 
 def pack(native: Path, out: Path) -> Path:
     pack_dataset(str(native), out, workers=1, report=silent)
     return out
-
-
-@pytest.fixture(autouse=True, scope="module")
-def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("MULTILIGHT_CACHE", str(tmp_path_factory.mktemp("cache")))
-        yield
-
-
-@pytest.fixture(scope="module")
-def packed(spheres_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return pack(spheres_dataset, tmp_path_factory.mktemp("packed") / "copy")
 
 
 @pytest.fixture

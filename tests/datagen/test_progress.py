@@ -1,6 +1,9 @@
 """What long commands say: where they are while they run, and how it went."""
 
+import contextlib
+import os
 import re
+import signal
 import time
 from pathlib import Path
 
@@ -8,6 +11,8 @@ import pytest
 
 from multilight.datagen.commands import output
 from multilight.datagen.commands.dataset import summary
+from multilight.datagen.commands.output import progress
+from multilight.datagen.commands.terminal import EndedError, signals_end_it
 from multilight.datagen.config.dataset import DatasetConfig
 from multilight.datagen.production.crew import limits_for
 from multilight.datagen.production.dataset import Outcome
@@ -68,3 +73,25 @@ def test_the_last_line_counts_scenes_bytes_and_draws_thrown_away(tmp_path: Path)
         "3 drawn anew (contacts 2, noise 1)"
     )
     assert summary(plan, Outcome((), 4, {}, {}, {}, ()), 1.0) == "nothing to do, all 4 scenes are there"
+
+
+def test_a_signal_that_a_library_swallowed_ends_the_command_at_the_next_report() -> None:
+    told = []
+
+    def command() -> None:
+        with signals_end_it(), progress("scenes", "starting") as report:
+            with contextlib.suppress(BaseException):  # as extension modules do while they are imported
+                os.kill(os.getpid(), signal.SIGTERM)
+                time.sleep(5)
+            try:
+                report(1, 4)
+            finally:
+                report(2, 4)  # what clears up is not stopped by it
+                told.append(2)
+
+    with pytest.raises(EndedError) as ended:
+        command()
+    assert told == [2]
+    assert ended.value.code == 128 + signal.SIGTERM
+    with progress("scenes", "starting") as report:
+        report(1, 4)

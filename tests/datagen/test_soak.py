@@ -3,6 +3,7 @@
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -50,6 +51,7 @@ def test_it_goes_on_where_it_was_killed_and_names_what_is_left(tmp_path: Path) -
         soak = subprocess.Popen(command, cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
         while sum("scenes" in line for line in read(lines)) < count:
             assert soak.poll() is None, soak.communicate()[0]
+            time.sleep(0.05)
         return soak
 
     first = until_seen(3)

@@ -5,7 +5,6 @@ import json
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +15,8 @@ import torch
 from torch.utils.data import DataLoader, DistributedSampler
 
 from multilight.datagen.errors import StoreError, UserError
-from multilight.datagen.report import silent
 from multilight.datagen.storage.address import find_place
 from multilight.datagen.storage.open_dataset import open_dataset
-from multilight.datagen.storage.pack import pack_dataset
 from multilight.datagen.storage.packed import PackedView
 from multilight.datagen.tuples import compose
 from multilight.lights.display.tonemap import tone_curve
@@ -46,22 +43,9 @@ from multilight.scenes.poses import matrix4, translation
 from multilight.scenes.spec import Sphere
 from tests import ROOT
 
+pytestmark = pytest.mark.usefixtures("own_cache")
 DAYLIGHTS = np.full(5, 6504.0, np.float32)
 SMALL: dict[str, Any] = {"split": None, "visible": 5.0, "size": 32}
-
-
-@pytest.fixture(autouse=True, scope="module")
-def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("MULTILIGHT_CACHE", str(tmp_path_factory.mktemp("cache")))
-        yield
-
-
-@pytest.fixture(scope="module")
-def packed(spheres_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("packed") / "copy"
-    pack_dataset(str(spheres_dataset), out, workers=1, report=silent)
-    return out
 
 
 def opened(root: Path | str, **settings: Any) -> MultiLightDataset:

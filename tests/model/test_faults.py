@@ -1,6 +1,5 @@
 """Simulated faults of users' inputs: each changes what it says, by as much as it says, and nothing else."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +8,6 @@ import pytest
 import torch
 
 from multilight.datagen.errors import UserError
-from multilight.datagen.report import silent
-from multilight.datagen.storage.pack import pack_dataset
 from multilight.model.configs.stage2d import FAULTS, Fault
 from multilight.model.data import MultiLightDataset, SampleSettings
 from multilight.model.data.faults import HOLES, NOISE, STEP, draw_placement, wrong_depth
@@ -18,22 +15,9 @@ from multilight.model.evaluation.cases import RIGHTLY, VARIANT, dataset_groups
 from multilight.model.evaluation.run import evaluate, methods_of
 from multilight.model.evaluation.settings import CaseSettings
 
+pytestmark = pytest.mark.usefixtures("own_cache")
 PLACED = ("misplaced", "scaled")
 RAW = "raw composite"
-
-
-@pytest.fixture(autouse=True, scope="module")
-def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("MULTILIGHT_CACHE", str(tmp_path_factory.mktemp("cache")))
-        yield
-
-
-@pytest.fixture(scope="module")
-def packed(spheres_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("packed") / "copy"
-    pack_dataset(str(spheres_dataset), out, workers=1, report=silent)
-    return out
 
 
 def samples(packed: Path, **settings: Any) -> list[dict[str, Any]]:
@@ -44,7 +28,9 @@ def samples(packed: Path, **settings: Any) -> list[dict[str, Any]]:
 
 
 def changed(sample: dict[str, Any], true: dict[str, Any]) -> set[str]:
-    return {name for name in sample if name != "meta" and not torch.equal(sample[name], true[name])}
+    """Name what differs by more than the last bits, and a step of the table of display values, of another sum."""
+    names = [name for name in sample if name != "meta"]
+    return {name for name in names if not torch.allclose(sample[name].float(), true[name].float(), atol=2e-4)}
 
 
 @pytest.mark.parametrize("fault", FAULTS)
@@ -107,7 +93,8 @@ def test_guessed_depth_keeps_the_order_of_far_and_near_and_loses_outlines() -> N
         guessed = wrong_depth(depth, "guessed depth", np.random.default_rng(seed))
         inside, outside = guessed[:, 26:38, 26:38], torch.cat((guessed[:, :12], guessed[:, 52:]))
         assert inside.max() < outside.min()
-        assert (guessed[0, 32].diff().abs() > 0.05).sum() == 0 or guessed[0, 32].diff().abs().max() < 0.4
+        height = float(outside.mean() - inside.mean())
+        assert guessed[0, 32].diff().abs().max() < 0.5 * height  # the whole of it, without the blur
 
 
 def test_a_misplaced_object_is_moved_with_its_light_and_its_shadow_stays(packed: Path) -> None:
@@ -160,6 +147,5 @@ def test_pictures_made_over_count_in_their_own_rows_alone(spheres_dataset: Path)
     assert set(both.subsets) - set(found.subsets) == {f"{VARIANT}{name}" for name in (RIGHTLY, *FAULTS)}
     for name in (RIGHTLY, *FAULTS):  # moved or made smaller, an object may show too little
         assert 0.5 * len(found.frames) <= len(both.frames_of(f"{VARIANT}{name}")) <= len(found.frames)
-    rightly = both.means(RAW, f"{VARIANT}{RIGHTLY}")["object"]["PSNR"]
-    assert rightly > 35.0
-    assert found.means(RAW)["object"]["PSNR"] < 25.0
+    rightly, wrongly = (both.means(RAW, name)["object"]["PSNR"] for name in (f"{VARIANT}{RIGHTLY}", None))
+    assert rightly > wrongly + 10.0
