@@ -3,10 +3,12 @@
 All in the camera's OpenGL axes (+X right, +Y up, looks along -Z), for a lens of `FOCAL` picture sides: another lens, or
 a principal point elsewhere, only maps space linearly, under which rays stay rays and shadows fall where they fell.
 
-Shape letters: B pictures, K lights, h w pixels, N steps along a ray, V levels of blur.
+Shape letters: B pictures, K lights, h w pixels, N steps along a ray, V levels of blur, one below the other.
 """
 
 import functools
+import math
+from collections.abc import Iterable
 
 import torch
 from torch import Tensor
@@ -55,28 +57,24 @@ def visibility(
     object, the more is it blurred.
     """
     shape = _Shape.of(places, mask, focal)
-    b, k = directions.shape[:2]
     h, w = places.shape[-2:]
     offset = shape.centre[:, :, None, None] - places
-    middle = torch.einsum("bchw,bkc->bkhw", offset, directions)
+    middle = torch.einsum("bchw,bkc->bkhw", offset, directions)[..., None]
+    radius = shape.radius[..., None]
     part = (torch.arange(STEPS, device=places.device, dtype=places.dtype) + 0.5) / STEPS
-    low = (middle - shape.radius).clamp(min=0.0)[..., None]
-    along = low + ((middle + shape.radius)[..., None] - low).clamp(min=0.0) * part  # (B, K, h, w, N)
+    low = (middle - radius).clamp(min=0.0)
+    along = low + (middle + radius - low).clamp(min=0.0) * part  # (B, K, h, w, N)
     x, y, z = (
         places[:, None, axis, :, :, None] + along * directions[:, :, axis, None, None, None] for axis in range(3)
     )
     ahead = (-z).clamp(min=LEAST_DEPTH)
     across = focal * max(h, w) / ahead  # pixels a length
-    sigma = 0.5 * softness[:, :, None, None, None] * along * across
-    level = (sigma / BLUR).clamp(min=1.0).log() / torch.tensor(WIDER).log()
-    grid = torch.stack((2 * x * across / w, -2 * y * across / h, 2 * level / (LEVELS - 1) - 1), dim=-1)
-    grid = grid.reshape(b, k, h * w, STEPS, 3)
-    seen = functional.grid_sample(shape.levels, grid, align_corners=False, padding_mode="border")
-    cover, front = seen.reshape(b, 2, k, h, w, STEPS).unbind(1)
+    x, y = w / 2 + x * across, h / 2 - y * across  # pixels
+    cover, front = shape.seen(x, y, (0.5 / BLUR) * softness[:, :, None, None, None] * along * across)
     edge = 0.05 * shape.width[..., None]
     depth_there = (2 * (shape.middle[..., None] - front)).clamp(min=0.3 * shape.width[..., None])
     behind = ((ahead - front) / edge).sigmoid() * ((front + depth_there - ahead) / edge).sigmoid()
-    onto = (grid[..., :2].abs() < 1.0).all(dim=-1).reshape(b, k, h, w, STEPS) & (along > 0)
+    onto = (x > 0) & (x < w) & (y > 0) & (y < h) & (along > 0)
     return 1.0 - (cover * behind * onto).amax(dim=-1)
 
 
@@ -84,7 +82,7 @@ class _Shape:
     """An object as the camera sees it: its front, blurred more and more, and a guess of what is behind."""
 
     def __init__(self, levels: Tensor, centre: Tensor, radius: Tensor, width: Tensor, middle: Tensor) -> None:
-        self.levels = levels  # (B, 2, V, h, w): coverage, and the front's depth, carried on past the outline
+        self.levels = levels  # (B, 2, V h, w): coverage, and the front's depth, carried on past the outline
         self.centre = centre  # (B, 3)
         self.radius = radius  # (B, 1, 1, 1) of a ball about the centre that holds the object
         self.width = width  # (B, 1, 1, 1): half of it
@@ -106,7 +104,24 @@ class _Shape:
         for number in range(LEVELS):
             blurred = blur(both, BLUR * WIDER**number)
             levels.append(torch.cat((blurred[:, :1], blurred[:, 1:] / (blurred[:, :1] + 1e-6)), dim=1))
-        return cls(torch.stack(levels, dim=2), centre[:, :, 0, 0], radius, width, middle)
+        return cls(torch.cat(levels, dim=2), centre[:, :, 0, 0], radius, width, middle)
+
+    def seen(self, x: Tensor, y: Tensor, blur: Tensor) -> Iterable[Tensor]:
+        """Look up coverage and front at pixels x, y, `blur` times as blurred as the sharpest level; shapes alike."""
+        width, height = self.levels.shape[3], self.levels.shape[2] // LEVELS
+        level = (blur.clamp(min=1.0).log() / math.log(WIDER)).clamp(max=LEVELS - 1)
+        sharper = level.detach().floor().clamp(max=LEVELS - 2)
+        across = 2 * x / width - 1
+        down = y.clamp(0.5, height - 0.5) + sharper * height
+        found = []
+        for further in range(
+            2
+        ):  # of levels one below the other, which two dimensions are looked up in sooner than three
+            grid = torch.stack((across, (down + further * height) * (2 / (LEVELS * height)) - 1), dim=-1)
+            seen = functional.grid_sample(self.levels, grid.flatten(1, 3), align_corners=False, padding_mode="border")
+            found.append(seen.unflatten(2, x.shape[1:4]))
+        sharp, blurred = found
+        return torch.lerp(sharp, blurred, (level - sharper)[:, None]).unbind(1)
 
 
 def blur(picture: Tensor, sigma: float) -> Tensor:
