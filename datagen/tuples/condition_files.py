@@ -50,20 +50,33 @@ def find_condition(text: str, record: SceneRecord, view: ViewData) -> LightingCo
     return check_condition(content, text, record.rig)
 
 
+def read_condition(path: Path) -> LightingCondition:
+    """Read a condition's file, whatever scene it is for; raises `UserError` naming what is wrong with it."""
+    try:
+        return _condition(read_text(path, MOST), str(path))
+    except OSError as error:
+        raise UserError(f"condition {path}: it cannot be read ({error.strerror})") from None
+    except ValueError as error:
+        raise UserError(f"{path} is not a lighting condition: {error}") from None
+
+
 def check_condition(values: str | Mapping[str, object], source: str, rig: LightRig) -> LightingCondition:
     """Return the condition of a rig that JSON, or values, state.
 
     Raises `UserError` with `source`, the key, the value and what is allowed.
     """
-    try:
-        if isinstance(values, str):
-            condition = LightingCondition.model_validate_json(values, strict=True)
-        else:
-            condition = LightingCondition.model_validate(values)
-    except ValidationError as error:
-        raise UserError(f"{source} is not a lighting condition: {_fault(error)}") from None
+    condition = _condition(values, source)
     check_lights(condition.gains, source, rig)
     return condition
+
+
+def _condition(values: str | Mapping[str, object], source: str) -> LightingCondition:
+    try:
+        if isinstance(values, str):
+            return LightingCondition.model_validate_json(values, strict=True)
+        return LightingCondition.model_validate(values)
+    except ValidationError as error:
+        raise UserError(f"{source} is not a lighting condition: {_fault(error)}") from None
 
 
 def check_lights(names: Iterable[str], source: str, rig: LightRig) -> None:

@@ -1,7 +1,7 @@
 """PyTorch datasets over a native or packed dataset: map-style and streaming."""
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypedDict
 
@@ -11,8 +11,12 @@ import torch
 from torch import Tensor
 from torch.utils.data import Dataset, IterableDataset, get_worker_info
 
+from multilight.datagen.errors import UserError
 from multilight.datagen.storage.open_training import open_training
 from multilight.datagen.storage.packed import PackedView
+from multilight.datagen.tuples.condition_files import read_condition
+from multilight.lights.relight import gain_matrix
+from multilight.lights.spec import LightingCondition
 from multilight.model.data.augment import (
     PLAIN,
     CameraResponse,
@@ -84,7 +88,9 @@ class MultiLightDataset(Dataset[Sample]):
         self.settings = (
             replace(settings, lighting="wild") if settings.lighting == "random" and config.wild else settings
         )
+        self._given = Given(*(_read(wanted) for wanted in (settings.insert_condition, settings.condition)))
         places, index = places_of(self.source.visible, settings), self.source.index
+        self._given.check(index.filter(pl.col("index").is_in([place.scene for place in places])))
         settings.check_size(index.select(pl.min_horizontal("width", "height").min()).item())
         self.plan = Plan(places, settings, config.conditions)
         self._about = {row["index"]: row for row in index.select("index", "kind", "emissive").to_dicts()}
@@ -111,7 +117,7 @@ class MultiLightDataset(Dataset[Sample]):
             raise IndexError(f"sample {index} is outside 0..{len(self) - 1}")
         draw = self.plan.draw(self.epoch, index)
         views = [self.source.view(draw.place.scene, number) for number in draw.views]
-        samples = make_samples(views, draw, self.settings, self.lights(draw.place.scene, views[0].lights))
+        samples = make_samples(views, draw, self.settings, self.lights(draw.place.scene, views[0].lights), self._given)
         about = self._about[draw.place.scene]
         if self.settings.views == 1:
             sample: Sample = dict(samples[0])
@@ -169,17 +175,46 @@ class MultiLightStream(IterableDataset[Sample]):
         return own if worker is None else np.array_split(own, worker.num_workers)[worker.id]
 
 
+@dataclass(frozen=True)
+class Given:
+    """Conditions that are not drawn: of the object in the composite, and of all else."""
+
+    insert: LightingCondition | None = None
+    base: LightingCondition | None = None
+
+    def check(self, index: pl.DataFrame) -> None:
+        """Raise `UserError` where a scene of the index lacks a light that a condition names."""
+        for condition in filter(None, (self.insert, self.base)):
+            for light in condition.gains:
+                lacking = index.filter(~pl.col("lights").list.contains(light))
+                if len(lacking):
+                    scene, there = lacking.select("index", "lights").row(0)
+                    raise UserError(
+                        f"condition {condition.name!r}: scene {scene} has no light {light!r} but {', '.join(there)}; "
+                        "choose the scenes that it was made for by where, 'index = 3' say"
+                    )
+
+
+def _read(condition: Path | str | LightingCondition | None) -> LightingCondition | None:
+    return read_condition(Path(condition)) if isinstance(condition, (Path, str)) else condition
+
+
 def make_samples(
-    views: list[PackedView], draw: Draw, settings: SampleSettings, lights: SceneLights
+    views: list[PackedView], draw: Draw, settings: SampleSettings, lights: SceneLights, given: Given
 ) -> list[dict[str, Tensor]]:
     """Light, mix, augment and frame the views of one sample: a dict of tensors each, without the view axis."""
     rng, own = draw.rng, lights.glow[draw.place.object][: len(views[0].lights)]
     if draw.conditions is None:
         temperature = lights.temperature[: len(views[0].lights)]
         insert, base = lit_conditions(rng, views, 2, temperature, wild=settings.lighting == "wild")
-        insert[own] = base[own]  # its glow is the object's own, and stays
     else:
         insert, base = (views[0].conditions[number] for number in draw.conditions)
+    if given.base:
+        base = gain_matrix(views[0].lights, given.base)
+    if given.insert:
+        insert = gain_matrix(views[0].lights, given.insert)
+    elif draw.conditions is None:
+        insert[own] = base[own]  # its glow is the object's own, and stays
     right = settings.right if settings.right is not None else RIGHT * settings.augment
     if right and rng.random() < right:
         insert = base

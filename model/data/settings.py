@@ -3,10 +3,12 @@
 import math
 import sys
 from dataclasses import dataclass
+from pathlib import Path
 from typing import get_args
 
 from multilight.datagen.errors import UserError
 from multilight.datagen.text import did_you_mean
+from multilight.lights.spec import LightingCondition
 from multilight.model.configs.stage2d import FAULTS, Fault, Lighting
 from multilight.scenes.assets.splits import Split
 
@@ -27,7 +29,9 @@ class SampleSettings:
     `augment` varies exposure, white balance, camera response, crop and direction. Objects that cover fewer than
     `visible` pixels of a view are passed over. `right` is the probability that the object is lit rightly already (None:
     `RIGHT` where samples are augmented, else 0). With a probability of `faults` a sample has one of the faults `kinds`,
-    as users' inputs have. With `repeat` an epoch may be longer than there are different tuples.
+    as users' inputs have. Where given, `condition` lights background and target, `insert_condition` the object in the
+    composite: files that the mixer or `multilight mix --save-condition` wrote, for scenes with lights of those names.
+    With `repeat` an epoch may be longer than there are different tuples.
     """
 
     size: int = 256
@@ -42,6 +46,8 @@ class SampleSettings:
     right: float | None = None
     faults: float = 0.0
     kinds: tuple[Fault, ...] = FAULTS
+    condition: Path | str | LightingCondition | None = None
+    insert_condition: Path | str | LightingCondition | None = None
     repeat: bool = False
 
     def __post_init__(self) -> None:

@@ -14,7 +14,7 @@ from multilight.datagen.storage.records import SceneRecord
 from multilight.lights.photometry.angular_size import angular_diameter
 from multilight.lights.spec import EmissiveLight
 from multilight.model.configs.stage2d import FAULTS
-from multilight.model.data.dataset import MultiLightDataset, make_samples
+from multilight.model.data.dataset import Given, MultiLightDataset, make_samples
 from multilight.model.data.settings import SampleSettings
 from multilight.model.evaluation.settings import CaseSettings
 from multilight.scenes.appearance import is_mirror, material_class
@@ -123,7 +123,7 @@ def _drawn_group(samples: MultiLightDataset, split: Split, number: int) -> Group
     draw = samples.plan.draw(0, number)
     record = samples.source.source.scene(draw.place.scene)
     views = [samples.source.view(draw.place.scene, view) for view in draw.views]
-    made = make_samples(views, draw, samples.settings, samples.lights(draw.place.scene, views[0].lights))
+    made = make_samples(views, draw, samples.settings, samples.lights(draw.place.scene, views[0].lights), Given())
     cases, cameras, depths = [], [], []
     for view, sample in zip(draw.views, made, strict=True):
         arrays = {name: values.numpy() for name, values in sample.items()}

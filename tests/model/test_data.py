@@ -14,11 +14,13 @@ import pytest
 import torch
 from torch.utils.data import DataLoader, DistributedSampler
 
+import multilight
 from multilight.datagen.errors import StoreError, UserError
 from multilight.datagen.storage.address import find_place
 from multilight.datagen.storage.open_dataset import open_dataset
 from multilight.datagen.storage.packed import PackedView
 from multilight.datagen.tuples import compose
+from multilight.datagen.tuples.condition_files import save_condition
 from multilight.lights.display.tonemap import tone_curve
 from multilight.lights.spec import (
     AreaLight,
@@ -299,6 +301,40 @@ def test_pictures_are_the_gains_mix(spheres_dataset: Path, packed: Path) -> None
         for what, linear in (("target", target), ("background", behind), ("composite", composite)):
             shown = srgb_encode(tone_curve(linear))[:, 8:56].transpose(2, 0, 1)
             np.testing.assert_allclose(sample[what].numpy(), shown, atol=5e-5, err_msg=what)
+
+
+def test_saved_conditions_light_the_samples(spheres_dataset: Path, packed: Path, tmp_path: Path) -> None:
+    """As `Scene.tuple` does by the same file, whatever lighting would else be drawn."""
+    scene, files = multilight.open(spheres_dataset)[0], (tmp_path / "a.json", tmp_path / "b.json")
+    insert, base = (scene.condition(seed) for seed in (3, 4))
+    for file, condition in zip(files, (insert, base), strict=True):
+        save_condition(condition, file)
+    wanted: dict[str, Any] = {"size": 48, "augment": False, "where": "index = 0"}
+    for lighting in ("random", "stored"):
+        for one, other in (files, (insert, base)):
+            data = opened(packed, **wanted, lighting=lighting, insert_condition=one, condition=other)
+            sample, draw = data[0], data.plan.draw(0, 0)
+            true = scene.tuple(sample["meta"]["view"], draw.place.object, condition=base, insert_condition=insert)
+            for what in ("composite", "background", "target"):
+                shown = srgb_encode(tone_curve(getattr(true, what)))[:, 8:56].transpose(2, 0, 1)
+                np.testing.assert_allclose(sample[what].numpy(), shown, atol=5e-5, err_msg=what)
+    drawn, half = opened(packed, **wanted)[0], opened(packed, **wanted, insert_condition=files[0])[0]
+    assert torch.equal(drawn["target"], half["target"])
+    assert not torch.equal(drawn["composite"], half["composite"])
+
+
+def test_saved_conditions_of_other_scenes_are_refused(packed: Path, tmp_path: Path) -> None:
+    elsewhere = tmp_path / "elsewhere.json"
+    elsewhere.write_text('{"name": "night", "gains": {"chandelier": 1}}')
+    with pytest.raises(
+        UserError, match=r"'night': scene \d has no light 'chandelier' but .*choose the scenes .* by where"
+    ):
+        opened(packed, condition=elsewhere)
+    elsewhere.write_text('{"name": "night", "gains": {"key": -1}}')
+    with pytest.raises(UserError, match=r"elsewhere.json is not a lighting condition: gains.key.0 = -1; allowed"):
+        opened(packed, insert_condition=elsewhere)
+    with pytest.raises(UserError, match=r"condition .*missing.json: it cannot be read \(No such file"):
+        opened(packed, condition=tmp_path / "missing.json")
 
 
 def test_gains_hold_the_cameras_exposure_and_white_balance(packed: Path) -> None:
