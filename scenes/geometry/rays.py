@@ -1,5 +1,6 @@
 """What rays hit in a scene: line of sight for cameras, lights and placement."""
 
+import functools
 from collections.abc import Sequence
 
 import numpy as np
@@ -25,14 +26,21 @@ def body_triangles(body: Body, library: AssetLibrary) -> tuple[Float64, Int64]:
             signs = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
             vertices, faces = signs * [width / 2, height / 2, 0.0], np.array([[0, 1, 2], [0, 2, 3]])
         case Sphere(radius=radius):
-            angle = np.linspace(0.0, np.pi, 13)
-            ring = np.linspace(0.0, 2 * np.pi, 24, endpoint=False)
-            around = np.stack([np.cos(ring), np.sin(ring)], axis=-1)
-            flat = np.sin(angle)[:, None, None] * around
-            vertices = radius * np.concatenate([flat, np.broadcast_to(np.cos(angle)[:, None, None], (13, 24, 1))], -1)
-            hull = Trimesh(vertices.reshape(-1, 3), process=False).convex_hull
-            vertices, faces = hull.vertices, hull.faces
+            around, faces = _ball()
+            vertices = radius * around
     return apply_pose(np.array(body.world_from_body), vertices), np.asarray(faces, np.int64)
+
+
+@functools.cache
+def _ball() -> tuple[Float64, Int64]:
+    """Return the vertices (V, 3) and faces (F, 3) of a sphere of radius 1."""
+    angle = np.linspace(0.0, np.pi, 13)
+    ring = np.linspace(0.0, 2 * np.pi, 24, endpoint=False)
+    around = np.stack([np.cos(ring), np.sin(ring)], axis=-1)
+    flat = np.sin(angle)[:, None, None] * around
+    vertices = np.concatenate([flat, np.broadcast_to(np.cos(angle)[:, None, None], (13, 24, 1))], -1)
+    hull = Trimesh(vertices.reshape(-1, 3), process=False).convex_hull
+    return np.asarray(hull.vertices), np.asarray(hull.faces, np.int64)
 
 
 def part_triangles(body: Body, part: int, library: AssetLibrary) -> Float64:
