@@ -95,6 +95,7 @@ class Evaluate:
             raise UserError("say what to evaluate on: a dataset (multilight evaluate DIR), --owl DIR or --foscom DIR")
         check_range("--size", self.cases.size, LEAST_SIDE, MOST_SIDE)
         check_range("--groups", self.cases.groups, 1, 10**6)
+        check_range("--views", self.cases.views, 1, 1000)
         check_device(self.device)
         for path in self.weights:
             weights_config(path, NetworkConfig)

@@ -23,8 +23,6 @@ from multilight.scenes.assets.splits import Split
 from multilight.scenes.cameras.pinhole import camera_of
 from multilight.scenes.spec import Camera
 
-MOST_VIEWS = 4
-"""Views of a scene that are shown under one lighting."""
 HARD = np.radians(3.0)
 """A light of a smaller angular diameter throws shadows with hard edges: a penumbra below a twentieth of the height."""
 VARIANT, RIGHTLY = "with: ", "light that is right"
@@ -114,7 +112,7 @@ def _split_groups(
     index = open_training(address, where=first.filter()).index
     if not len(index):
         raise UserError(f"no scene of split {split!r}")
-    samples = MultiLightDataset(address, replace(first, views=min(MOST_VIEWS, *index["views"].to_list())))
+    samples = MultiLightDataset(address, replace(first, views=min(settings.views, *index["views"].to_list())))
     count = min(settings.groups, len(samples.plan.places))
     return [functools.partial(_drawn_group, samples, split, number) for number in range(count)]
 

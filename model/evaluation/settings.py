@@ -13,7 +13,9 @@ class CaseSettings:
     splits: tuple[Split, ...] = ("test", "test_ood")
     """Splits to evaluate on; each is a subset of the tables."""
     groups: int = 32
-    """Most objects a split, each in up to four views under one pair of lightings."""
+    """Most objects a split, each under one pair of lightings."""
+    views: int = 4
+    """Most views of a scene that show an object under one lighting; what is averaged over views has no more."""
     seed: int = 0
     """Seed of the order and the lightings."""
     size: int = 256

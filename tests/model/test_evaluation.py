@@ -54,6 +54,12 @@ def test_tuples_are_the_same_every_time(spheres_dataset: Path, groups: list[Grou
     assert not np.array_equal(other.cases[0].composite, groups[0].cases[0].composite)
 
 
+def test_as_many_views_as_asked_show_an_object(spheres_dataset: Path) -> None:
+    for views in (1, 2):
+        settings = CaseSettings(SETTINGS.splits, 1, views=views, size=64)
+        assert all(len(load().cases) == views for load in dataset_groups(spheres_dataset, settings))
+
+
 def test_cases_hold_their_identities(groups: list[Group]) -> None:
     for case in (case for group in groups for case in group.cases):
         assert case.target is not None
