@@ -3,7 +3,7 @@
 All in the camera's OpenGL axes (+X right, +Y up, looks along -Z), for a lens of `FOCAL` picture sides: another lens, or
 a principal point elsewhere, only maps space linearly, under which rays stay rays and shadows fall where they fell.
 
-Shape letters: B pictures, K lights, h w pixels, N steps along a ray, V levels of blur, one below the other.
+Shape letters: B pictures, K lights, h w pixels, V levels of blur, one below the other.
 """
 
 import functools
@@ -58,24 +58,31 @@ def visibility(
     """
     shape = _Shape.of(places, mask, focal)
     h, w = places.shape[-2:]
-    offset = shape.centre[:, :, None, None] - places
-    middle = torch.einsum("bchw,bkc->bkhw", offset, directions)[..., None]
-    radius = shape.radius[..., None]
-    part = (torch.arange(STEPS, device=places.device, dtype=places.dtype) + 0.5) / STEPS
-    low = (middle - radius).clamp(min=0.0)
-    along = low + (middle + radius - low).clamp(min=0.0) * part  # (B, K, h, w, N)
-    x, y, z = (
-        places[:, None, axis, :, :, None] + along * directions[:, :, axis, None, None, None] for axis in range(3)
-    )
-    ahead = (-z).clamp(min=LEAST_DEPTH)
-    across = focal * max(h, w) / ahead  # pixels a length
-    x, y = w / 2 + x * across, h / 2 - y * across  # pixels
-    cover, front = shape.seen(x, y, (0.5 / BLUR) * softness[:, :, None, None, None] * along * across)
-    edge = 0.05 * shape.width[..., None]
-    depth_there = (2 * (shape.middle[..., None] - front)).clamp(min=0.3 * shape.width[..., None])
-    behind = ((ahead - front) / edge).sigmoid() * ((front + depth_there - ahead) / edge).sigmoid()
-    onto = (x > 0) & (x < w) & (y > 0) & (y < h) & (along > 0)
-    return 1.0 - (cover * behind * onto).amax(dim=-1)
+    middle = torch.einsum("bchw,bkc->bkhw", shape.centre[:, :, None, None] - places, directions)
+    near = (middle - shape.radius).clamp(min=0.0)
+    length = (middle + shape.radius - near).clamp(min=0.0)
+
+    def hidden(part: float | Tensor) -> Tensor:
+        """Return what the object hides at a part of the stretches: (B, K, h, w)."""
+        along = near + length * part
+        x, y, z = (places[:, None, axis] + along * directions[:, :, axis, None, None] for axis in range(3))
+        ahead = (-z).clamp(min=LEAST_DEPTH)
+        across = focal * max(h, w) / ahead  # pixels a length
+        x, y = w / 2 + x * across, h / 2 - y * across
+        cover, front = shape.seen(x, y, (0.5 / BLUR) * softness[:, :, None, None] * along * across)
+        edge = 0.05 * shape.width
+        depth_there = (2 * (shape.middle - front)).clamp(min=0.3 * shape.width)
+        behind = ((ahead - front) / edge).sigmoid() * ((front + depth_there - ahead) / edge).sigmoid()
+        return cover * behind * ((x > 0) & (x < w) & (y > 0) & (y < h) & (along > 0))
+
+    with torch.no_grad():  # what hides most has the only gradient
+        most, where = torch.zeros_like(middle), torch.zeros_like(middle)
+        for step in range(STEPS):
+            part = (step + 0.5) / STEPS
+            found = hidden(part)
+            where = torch.where(found > most, part, where)
+            most = torch.maximum(found, most)
+    return 1.0 - hidden(where)
 
 
 class _Shape:
@@ -114,12 +121,10 @@ class _Shape:
         across = 2 * x / width - 1
         down = y.clamp(0.5, height - 0.5) + sharper * height
         found = []
-        for further in range(
-            2
-        ):  # of levels one below the other, which two dimensions are looked up in sooner than three
+        for further in range(2):  # levels one below the other: two dimensions are looked up sooner than three
             grid = torch.stack((across, (down + further * height) * (2 / (LEVELS * height)) - 1), dim=-1)
-            seen = functional.grid_sample(self.levels, grid.flatten(1, 3), align_corners=False, padding_mode="border")
-            found.append(seen.unflatten(2, x.shape[1:4]))
+            seen = functional.grid_sample(self.levels, grid.flatten(1, 2), align_corners=False, padding_mode="border")
+            found.append(seen.unflatten(2, x.shape[1:3]))
         sharp, blurred = found
         return torch.lerp(sharp, blurred, (level - sharper)[:, None]).unbind(1)
 
