@@ -56,7 +56,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory, capture_folders: dict[str, 
     for name in ("OURS", "THEIRS", "COMPOSITES"):
         (here / name).mkdir()
         shutil.copy(here / "a.png", here / name)
-    trimesh.creation.icosphere(radius=0.1).export(here / "vase.glb")
+    (here / "mine").mkdir()
+    for place in (here, here / "mine"):
+        trimesh.creation.icosphere(radius=0.1).export(place / "vase.glb")
     room().export(here / "room.glb")
     depth_onnx(here / "depth_anything_v2.onnx")
     return here

@@ -84,6 +84,7 @@ def _library(which: str | None) -> tuple[AssetLibrary, str | None]:
     if which not in packs:
         near = did_you_mean(which, packs)
         raise AssetError(
-            f"{shown(which)} is neither a folder nor an installed pack; {near}installed: {', '.join(packs)}"
+            f"{shown(which)} is no file or folder that is there, nor an installed pack; {near}"
+            f"installed: {', '.join(packs)}"
         )
     return library, which

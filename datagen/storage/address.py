@@ -11,6 +11,7 @@ import fsspec
 from fsspec import AbstractFileSystem
 
 from multilight.datagen.errors import StoreError, UserError, reason_of
+from multilight.datagen.text import did_you_mean
 from multilight.scenes.files.confined import OutsideError, held, inside, plain_name
 
 
@@ -28,6 +29,13 @@ class Place:
         protocol = self.filesystem.protocol
         return "file" in ((protocol,) if isinstance(protocol, str) else protocol)
 
+    def _meant(self) -> str:
+        """Name a dataset beside where no folder is, for a slip of the pen."""
+        root = Path(self.root)
+        if not self.is_local or root.exists() or not root.parent.is_dir():
+            return ""
+        return did_you_mean(root.name, [file.parent.name for file in root.parent.glob("*/dataset.json")])
+
     def read(self, name: str, most: int | None = None) -> bytes:
         """Read a file of at most `most` bytes; raises `StoreError` naming it and the reason."""
         shown = f"{self.address}/{name}"
@@ -40,7 +48,7 @@ class Place:
                 raise StoreError(f"{shown} holds {size} bytes, at most {most} are read")
             return bytes(self._alive().cat_file(f"{self.root}/{name}"))
         except FileNotFoundError:
-            raise StoreError(f"{shown} is missing: not a dataset, or not finished") from None
+            raise StoreError(f"{shown} is missing: {self._meant()}not a dataset, or not finished") from None
         except StoreError:
             raise
         except Exception as error:  # each backend has its own errors for a lost connection or a refused key

@@ -85,7 +85,8 @@ def check_lights(names: Iterable[str], source: str, rig: LightRig) -> None:
         there = "; ".join(f"{light.name} ({describe(light)})" for light in rig.lights)
         raise UserError(
             f"{source}: gains.{shown(unknown[0])[1:-1]}: there is no such light; "
-            f"{did_you_mean(unknown[0], rig.names)}the scene has {there}"
+            f"{did_you_mean(unknown[0], rig.names)}the scene has {there}; "
+            "a lighting is for scenes with all of its lights"
         )
 
 

@@ -61,7 +61,7 @@ def write_mix(request: MixRequest) -> None:
     for path in files:
         check_file(path)
     if not 0 <= request.view < len(record.views):
-        raise UserError(f"--view {request.view} must be 0 to {len(record.views) - 1}")
+        raise UserError(f"--view {request.view} is not in scene {record.index}; it has 0 to {len(record.views) - 1}")
     name = checked_object(request.object or record.scene.insertable[0], record)
     view = source.view(record, request.view)
     saved: list[tuple[LightingCondition, Path | None]] = []

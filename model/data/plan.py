@@ -51,7 +51,7 @@ def places_of(visible: pl.DataFrame, settings: SampleSettings) -> tuple[Place, .
     if not found:
         raise UserError(
             f"no scene with split {settings.split!r} and where {settings.where!r} shows an insertable object on "
-            f"{settings.visible:g} pixels of {settings.views} view(s)"
+            f"{settings.visible:g} pixels of {settings.views} view(s){'; split None takes all' * bool(settings.split)}"
         )
     return tuple(found)
 

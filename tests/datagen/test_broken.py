@@ -142,6 +142,11 @@ def test_a_foreign_folder_is_no_dataset(tmp_path: Path) -> None:
         open_dataset(tmp_path)
 
 
+def test_a_mistyped_folder_is_told_of_the_dataset_beside_it(spheres_copy: Path) -> None:
+    with pytest.raises(StoreError, match=rf"is missing: did you mean '{spheres_copy.name}'\? not a dataset"):
+        open_dataset(spheres_copy.with_name(spheres_copy.name + "s"))
+
+
 @pytest.mark.parametrize("where", ["folder", "memory"])
 def test_an_unfinished_dataset_is_read_from_its_scenes(where: str, spheres_copy: Path) -> None:
     finished = open_dataset(spheres_copy).table

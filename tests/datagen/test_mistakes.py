@@ -80,7 +80,7 @@ MISTAKES = {
     "train TRAINING --out TEXT": "TEXT cannot be written: it is a file, not a folder",
     "import usd NONE --out O": "NONE does not exist",
     "import usd TEXT --out O": "TEXT cannot be read: it is damaged, or not what its name says",
-    "assets check NONE": "neither a folder nor an installed pack",
+    "assets check NONE": "is no file or folder that is there, nor an installed pack",
     "assets fetch mug": "no pack 'mug'",
     "stats http://localhost:1/x": "http://localhost:1/x/dataset.json cannot be read",
     "train TEXT": "TEXT cannot be read as TOML",

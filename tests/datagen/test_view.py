@@ -6,6 +6,7 @@ import dataclasses
 import http.client
 import io
 import json
+import shlex
 import shutil
 import subprocess
 import sys
@@ -282,25 +283,67 @@ def test_the_address_holds_the_state(browser: Any, address: str, spheres_dataset
         page.page.goto(f"{address}#scene=1&object=none&view=99&layout=odd&scene_light=1;2;3&divider=x")
         page.press()
         assert page.state()["view"] == shown["view"]  # what means nothing changes nothing
+    with mixer(browser, address) as page:
+        page.open(scene=1, view=1)
+        assert page.state()["view"] == "1"
+        assert page.state()["object"] in record.scene.insertable
+        page.page.goto(f"{address}#scene=99&view=1")
+        page.until("document.querySelector('.toast.there')")
+        assert page.text(".toast") == "There is no scene 99 here: this is scene 0"
+
+
+def saved(page: Mixer, side: str, folder: Path, name: str | None = None) -> tuple[str, str]:
+    """Save the lighting of a side into a folder; returns the name that was proposed, and the command that is shown."""
+    page.page.get_by_role("button", name="Save the lighting").click()
+    dialog = page.page.get_by_role("dialog")
+    dialog.locator("label", has_text=side).first.click()
+    proposed = dialog.get_by_label("Name").input_value()
+    dialog.get_by_label("Name").fill(name or proposed)
+    command = dialog.get_by_label("The command").inner_text()
+    with page.page.expect_download() as download:
+        dialog.get_by_role("button", name="Save the file").click()
+    download.value.save_as(folder / download.value.suggested_filename)
+    return proposed, command
 
 
 def test_a_saved_condition_makes_the_same_picture(
-    browser: Any, address: str, spheres_dataset: Path, tmp_path: Path
+    browser: Any, address: str, spheres_dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """By the very command that is shown, whichever side is saved."""
+    monkeypatch.chdir(tmp_path)
     record = open_dataset(spheres_dataset).scene(0)
     state, _ = random_state(np.random.default_rng(5), record)
     with mixer(browser, address) as page:
-        page.open(**state | {"edits": "scene"})
-        page.page.get_by_role("button", name="Save the lighting").click()
-        page.page.get_by_label("Name").fill("mine")
-        with page.page.expect_download() as download:
-            page.page.get_by_role("button", name="Save the file").click()
-        assert download.value.suggested_filename == "mine.json"
-        download.value.save_as(tmp_path / "mine.json")
-        words = ["--condition", str(tmp_path / "mine.json"), "--out", str(tmp_path / "mine.png")]
-        assert main(["mix", str(spheres_dataset), "--view", str(state["view"]), *words]) == 0
-        made = np.asarray(Image.open(tmp_path / "mine.png"))
-        assert np.abs(page.picture("target") - made).max() <= 2
+        for around in ("mixed", "all"):
+            page.open(
+                **state | {"edits": "scene", "layout": "all"} | ({"scene_light": "all"} if around == "all" else {})
+            )
+            for side, name, pane in (("Scene", "scene", "target"), ("Object", None, "composite")):
+                proposed, command = saved(page, side, tmp_path, name)
+                assert proposed == (around if side == "Scene" else "mixed")
+                assert main(shlex.split(command)[1:]) == 0
+                made = np.asarray(Image.open(tmp_path / f"{name or proposed}.png"))
+                assert np.abs(page.picture(pane) - made).max() <= 2
+
+
+def test_what_lights_is_drawn_lit_and_keys_work_after_a_slider(browser: Any, address: str) -> None:
+    with mixer(browser, address) as page:
+        page.open(scene=0, view=0, edits="scene", scene_light="key_only")
+        lit = "[...document.querySelectorAll('.light .bulb')].map(each => getComputedStyle(each).boxShadow !== 'none')"
+        names = page.page.evaluate("[...document.querySelectorAll('.light strong')].map(each => each.textContent)")
+        assert page.page.evaluate(lit) == [name == "key" for name in names]
+        other = next(i for i, name in enumerate(names) if name != "key")
+        page.page.locator(".light .solo").nth(other).click()
+        page.painted()
+        assert page.page.evaluate(lit) == [i == other for i in range(len(names))]
+        page.page.get_by_role("slider", name=f"Power of {names[other]} in stops").focus()
+        page.press(f"Shift+Digit{other + 1}")
+        assert page.page.evaluate(lit) == [name == "key" for name in names]
+        before = page.state()["scene_light"]
+        page.press("ArrowRight")  # moves the slider, not the view
+        assert page.state()["view"] == "0"
+        assert page.state()["scene_light"] != before
+        assert page.page.evaluate("document.documentElement.scrollHeight <= innerHeight")
 
 
 def test_meter_and_kelvin_are_those_of_python(

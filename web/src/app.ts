@@ -134,8 +134,9 @@ async function openScene(index: number, hash: string): Promise<void> {
       linked: false, pick: null, lightings: { scene: light(scene.start.scene), object: light(scene.start.object) },
       ...(old && { left: old.left, right: old.right, layout: old.layout, curve: old.curve }),
     };
-    if (new URLSearchParams(hash).has("object")) fromHash(hash, state, scene);
-    else await chooseObject(state);
+    const words = new URLSearchParams(hash);
+    if (hash) fromHash(hash, state, scene);
+    if (!scene.objects.includes(words.get("object") ?? "")) await chooseObject(state, !words.has("divider"));
     const panel = new Panel(state, scene, change);
     const stage = new Stage(state, scene, change);
     open = { scene, state, stage, panel };
@@ -155,13 +156,14 @@ async function openScene(index: number, hash: string): Promise<void> {
 }
 
 /** Begin with the object that covers most of the view, under the divider; what cannot be read is told later. */
-async function chooseObject(state: State): Promise<void> {
+async function chooseObject(state: State, divide: boolean): Promise<void> {
   try {
     const { about } = await loadView(state.scene, state.view);
     const { name, box: [left, , wide] } = about.objects.reduce((best, each) => (each.coverage > best.coverage ? each : best));
-    Object.assign(state, { object: name, divider: (left + wide / 2) / about.width });
+    state.object = name;
+    if (divide) state.divider = (left + wide / 2) / about.width;
   } catch {
-    state.divider = 0.5;
+    if (divide) state.divider = 0.5;
   }
 }
 
@@ -189,7 +191,7 @@ function help(): void {
 
 function key(event: KeyboardEvent): void {
   const target = event.target as HTMLElement;
-  if (!open || document.querySelector("dialog") || event.ctrlKey || event.metaKey || event.altKey || target.matches("select, input:not([type=checkbox])")) return;
+  if (!open || document.querySelector("dialog") || event.ctrlKey || event.metaKey || event.altKey || target.matches("select, input:is([type=text], [type=color])") || (event.key.startsWith("Arrow") && target.matches("input"))) return;
   const { state, panel, stage } = open;
   const digit = /^Digit([1-9])$/.exec(event.code);
   if (digit) panel.toggle(Number(digit[1]) - 1, event.shiftKey ? "solo" : "on");
@@ -222,6 +224,7 @@ async function follow(): Promise<void> {
   if (!dataset || hash === document.body.dataset.shown) return;
   const named = Number(new URLSearchParams(hash).get("scene") ?? NaN);
   const index = dataset.scenes.find((scene) => scene.index === named)?.index ?? dataset.scenes[0].index;
+  if (named >= 0 && named !== index) tell(`There is no scene ${named} here: this is scene ${index}`);
   if (open && open.state.scene === index && hash) {
     fromHash(hash, open.state, open.scene);
     change();

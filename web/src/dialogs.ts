@@ -1,7 +1,7 @@
 // What opens over the page: the scenes, the file of a lighting, help.
 import { type Dataset, type Scene, sceneFolder } from "./data";
 import { h, icon, segments } from "./dom";
-import { conditionOf, sideLit, type Side, type State } from "./state";
+import { conditionOf, sideLit, type Side, type State, storedAs } from "./state";
 
 function opened(title: string, ...children: (Node | string)[]): HTMLDialogElement {
   const close = h("button", { class: "quiet", "aria-label": "Close", onclick: () => dialog.close() }, icon("close"));
@@ -27,18 +27,21 @@ export function showSave(state: State, scene: Scene, address: string, told: (tex
   let side: Side = state.linked ? "scene" : state.edits;
   const name = h("input", { type: "text", required: true, pattern: "[a-z][a-z0-9_]{0,39}", spellcheck: "false", autocomplete: "off", "aria-describedby": "name-rule", oninput: () => show() });
   const [text, command] = [h("pre", { tabindex: "0", "aria-label": "The file" }), h("pre", { tabindex: "0", "aria-label": "The command" })];
+  const before = h("p", { class: "hint" });
   const save = h("button", { class: "main" }, icon("save"), "Save the file");
   const content = () => `${JSON.stringify(conditionOf(sideLit(state, side), scene, name.value), null, 1).replace(/\[[^\]]*\]/g, (gain) => gain.replace(/\s+/g, "").replaceAll(",", ", "))}\n`;
   const show = () => {
     save.disabled = !name.validity.valid;
     text.textContent = content();
-    const option = side === "scene" ? "--condition" : "--insert-condition";
+    const around = storedAs(sideLit(state, "scene"), scene)?.name;
+    const lit = side === "scene" ? `--condition ${name.value}.json` : `--object ${state.object} --condition ${around ?? "scene.json"} --insert-condition ${name.value}.json`;
+    before.textContent = side === "scene" || around ? "With it, from a terminal:" : "With it, and the lighting of the scene saved as scene.json, from a terminal:";
     const quoted = /^[\w@%+=:,./-]+$/.test(address) ? address : `'${address.replaceAll("'", "'\\''")}'`;
-    command.textContent = `multilight mix ${quoted} --scene ${state.scene} --view ${state.view} ${state.object && `--object ${state.object} `}${option} ${name.value}.json --out ${name.value}.png`;
+    command.textContent = `multilight mix ${quoted} --scene ${state.scene} --view ${state.view} ${lit} --out ${name.value}.png`;
   };
   const choose = (chosen: Side) => {
     side = chosen;
-    name.value = sideLit(state, side).name;
+    name.value = storedAs(sideLit(state, side), scene)?.name ?? "mixed";
     bar.show(side);
     show();
   };
@@ -50,12 +53,13 @@ export function showSave(state: State, scene: Scene, address: string, told: (tex
     URL.revokeObjectURL(link.href);
     dialog.close();
     told(`${name.value}.json is saved`);
-  } }, bar, h("label", { class: "field" }, h("span", {}, "Name"), name, h("span", { class: "hint", id: "name-rule" }, "lower-case letters, digits and _, a letter first")), text, h("p", { class: "hint" }, "With it, from a terminal:"), command, save);
+  } }, bar, h("label", { class: "field" }, h("span", {}, "Name"), name, h("span", { class: "hint", id: "name-rule" }, "lower-case letters, digits and _, a letter first")), text, before, command, save);
   const dialog = opened("Save the lighting", form);
   choose(side);
 }
 
 const KEYS: [string, string][] = [
+  ["Tap, click", "on a picture: read that pixel"], ["Drag, swipe", "on a picture: turn through the views; on the divider: move it"],
   ["← →", "turn through the views; on the divider, move it"], ["1 … 9", "turn a light on or off"], ["Shift + 1 … 9", "only that light (solo)"],
   ["O", "change the lighting of the scene, or of the object"], ["L", "under a divider, side by side, all pictures"], ["Enter", "on a picture: read the pixel in its middle; Shift + arrows move it, Escape ends"],
   ["?", "this help"],
