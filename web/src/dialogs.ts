@@ -24,7 +24,7 @@ export function showScenes(dataset: Dataset, current: number, chosen: (index: nu
 }
 
 export function showSave(state: State, scene: Scene, address: string, told: (text: string) => void): void {
-  let side: Side = state.linked ? "scene" : state.edits;
+  let side: Side = state.linked || !state.object ? "scene" : state.edits;
   const name = h("input", { type: "text", required: true, pattern: "[a-z][a-z0-9_]{0,39}", spellcheck: "false", autocomplete: "off", "aria-describedby": "name-rule", oninput: () => show() });
   const [text, command] = [h("pre", { tabindex: "0", "aria-label": "The file" }), h("pre", { tabindex: "0", "aria-label": "The command" })];
   const before = h("p", { class: "hint" });
@@ -53,7 +53,7 @@ export function showSave(state: State, scene: Scene, address: string, told: (tex
     URL.revokeObjectURL(link.href);
     dialog.close();
     told(`${name.value}.json is saved`);
-  } }, bar, h("label", { class: "field" }, h("span", {}, "Name"), name, h("span", { class: "hint", id: "name-rule" }, "lower-case letters, digits and _, a letter first")), text, before, command, save);
+  } }, state.object && bar, h("label", { class: "field" }, h("span", {}, "Name"), name, h("span", { class: "hint", id: "name-rule" }, "lower-case letters, digits and _, a letter first")), text, before, command, save);
   const dialog = opened("Save the lighting", form);
   choose(side);
 }
