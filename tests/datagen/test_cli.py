@@ -137,7 +137,7 @@ def test_mix_takes_a_file_and_random_lightings(
     ("words", "expected"),
     [
         (("--scene", "7"), "--scene 7"),
-        (("--view", "3"), "--view 3 must be 0 to 2"),
+        (("--view", "3"), "--view 3 is not in scene 0; it has 0 to 2"),
         (("--object", "teapot"), "teapot"),
         (("--condition", "noon"), "'noon'"),
         (("--condition", "random:x"), "whole number"),
