@@ -216,7 +216,7 @@ def make_samples(
     elif draw.conditions is None:
         insert[own] = base[own]  # its glow is the object's own, and stays
     right = settings.right if settings.right is not None else RIGHT * settings.augment
-    if right and rng.random() < right:
+    if right and rng.random() < right and not given.insert:
         insert = base
     camera = draw_camera(rng) if settings.augment else PLAIN
     mirrored = bool(settings.augment and rng.random() < 0.5)

@@ -30,8 +30,8 @@ class SampleSettings:
     `visible` pixels of a view are passed over. `right` is the probability that the object is lit rightly already (None:
     `RIGHT` where samples are augmented, else 0). With a probability of `faults` a sample has one of the faults `kinds`,
     as users' inputs have. Where given, `condition` lights background and target, `insert_condition` the object in the
-    composite: files that the mixer or `multilight mix --save-condition` wrote, for scenes with lights of those names.
-    With `repeat` an epoch may be longer than there are different tuples.
+    composite: files that the mixer or `multilight mix --save-condition` wrote, for scenes with lights of those names;
+    the latter goes before `right`. With `repeat` an epoch may be longer than there are different tuples.
     """
 
     size: int = 256

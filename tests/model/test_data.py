@@ -321,6 +321,8 @@ def test_saved_conditions_light_the_samples(spheres_dataset: Path, packed: Path,
     drawn, half = opened(packed, **wanted)[0], opened(packed, **wanted, insert_condition=files[0])[0]
     assert torch.equal(drawn["target"], half["target"])
     assert not torch.equal(drawn["composite"], half["composite"])
+    right = opened(packed, **wanted, insert_condition=files[0], right=1.0)[0]  # what is asked for is not made right
+    assert not torch.equal(right["insert_gains"], right["base_gains"])
 
 
 def test_saved_conditions_of_other_scenes_are_refused(packed: Path, tmp_path: Path) -> None:
