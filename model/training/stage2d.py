@@ -16,9 +16,11 @@ from multilight.model.device import chosen_device
 from multilight.model.networks.compositing2d import Compositing2D
 from multilight.model.training.batches import ALONE, Batch, Process, stage_at, training_batches, validation_batches
 from multilight.model.training.losses import glow_loss, light_loss
+from multilight.model.training.optimization import denormals_as_zero
 from multilight.model.training.trainer import Images, Trainer, remove_run
 
 
+@denormals_as_zero()
 def train(config: TrainingConfig, *, fresh: bool = False, report: Report = silent) -> dict[str, float]:
     """Train, and write the averaged weights to `model.safetensors`; returns the last validation.
 

@@ -11,6 +11,7 @@ from multilight.model.configs.stage3d import SceneTrainingConfig
 from multilight.model.device import chosen_device
 from multilight.model.networks.checkpoint import load_network
 from multilight.model.networks.compositing3d import SceneNetwork, harmonize_scene, scene_network
+from multilight.model.training.optimization import denormals_as_zero
 from multilight.model.training.samples3d import SceneSample, SceneSamples
 from multilight.model.training.trainer import Images, Trainer, remove_run
 
@@ -55,6 +56,7 @@ class Trainer3D(Trainer[SceneSample]):
         return harmonize_scene(network, sample.scene, sample.composite, harmonized, sample.background)
 
 
+@denormals_as_zero()
 def train_scenes(config: SceneTrainingConfig, *, fresh: bool = False, report: Report = silent) -> dict[str, float]:
     """Train the 3D stage, and write the averaged weights to `model.safetensors`; returns the last validation.
 
