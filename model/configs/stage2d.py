@@ -89,18 +89,18 @@ class LossConfig(Settings):
     """What is minimized: an error of the pixels + `perceptual` times a distance."""
 
     pixels: Literal["mse", "log"] = "log"
-    """`mse`: mean squared error, as published. `log`: the logarithm of that on the object and its effect, picture by
-    picture, which is the mean PSNR there, up to 30 dB."""
+    """`mse`: mean squared error, as published. `log`: the logarithms of those on the object and on its effect,
+    picture by picture, which are the mean PSNR there, up to 30 dB."""
     perceptual: Annotated[float, Field(ge=0, le=100)] = 0.05
     """Weight of the perceptual distance."""
     vgg: Path | None = None
     """VGG19 weights (torchvision .pth or MatConvNet .mat); without: a stand-in, gradients and SSIM."""
-    lights: Annotated[float, Field(ge=0, le=1)] = 1e-3
+    lights: Annotated[float, Field(ge=0, le=1)] = 0.01
     """Weight of how far guessed lights are from the true ones, of a head that guesses them."""
-    glow: Annotated[float, Field(ge=0, le=1)] = 0.01
+    glow: Annotated[float, Field(ge=0, le=1)] = 0.05
     """Weight of how wrong the same head is about where the object itself glows."""
     far: Positive = 30.0
-    """Of `log`: weight of the mean error elsewhere, against 1 of that on the object and its effect."""
+    """Of `log`: weight of the mean error elsewhere, against 1 of that on the object, and on its effect."""
 
 
 class StageConfig(Settings):

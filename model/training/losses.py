@@ -81,27 +81,28 @@ def ssim(image: Tensor, target: Tensor) -> Tensor:
     return _per_picture(index)
 
 
-def changed_and_elsewhere(error: Tensor, mask: Tensor, effect: Tensor) -> tuple[Tensor, Tensor]:
-    """Average an error (B, C, H, W) over what the object changes, and over the rest of each picture: (B,) twice.
+def by_region(error: Tensor, mask: Tensor, effect: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Average an error (B, C, H, W) over the object, over its effect, and over the rest of each picture: (B,) thrice.
 
-    A pixel belongs to the former by the object's `mask` (B, 1, H, W), or by x / (x + 0.02) where its effect
-    (B, 3, H, W) has size x (shadow, reflection, glow). So small objects and faint shadows count like large ones.
+    A pixel belongs to the object by its `mask` (B, 1, H, W), and of the rest to the effect by x / (x + 0.02) where the
+    effect (B, 3, H, W) has size x (shadow, reflection, glow). So small objects and faint shadows count like large ones.
     """
     size = effect.abs().amax(dim=1, keepdim=True)
-    changed = torch.maximum(mask, size / (size + EFFECT_SEEN))
+    seen = size / (size + EFFECT_SEEN)
     error = error.mean(dim=1, keepdim=True)
-    inside, outside = (
+    found, shadow, rest = (
         (error * weight).flatten(1).sum(1) / weight.flatten(1).sum(1).clamp(min=1.0)
-        for weight in (changed, 1.0 - changed)
+        for weight in (mask, (1.0 - mask) * seen, (1.0 - mask) * (1.0 - seen))
     )
-    return inside, outside
+    return found, shadow, rest
 
 
 class CompositingLoss(nn.Module):
-    """The squared error, or the logarithm of that of the region that the object changes, plus a perceptual distance.
+    """The squared error, or the logarithms of those of the object and of its effect, plus a perceptual distance.
 
     The mean of a squared error is decided by the pictures that are lit most wrongly, and what is gained on them is
-    lost on those that were nearly right; its logarithm counts every picture's relative gain, as PSNR does.
+    lost on those that were nearly right; its logarithm counts every picture's relative gain, as PSNR does. Each region
+    has its own: taken together, a shadow is lost in what is wrong with the object.
 
     `label` names the distance in logs and tables: `vgg19`, `gradient+ssim` (stand-in) or `none`.
     """
@@ -120,8 +121,9 @@ class CompositingLoss(nn.Module):
         if self.config.pixels == "mse":
             pixels = _per_picture(squared)
         else:  # scaled to about the size of the error itself
-            changed, elsewhere = changed_and_elsewhere(squared, mask, effect)
-            pixels = 10.0 * KNEE * torch.log1p((changed + self.config.far * elsewhere) / KNEE)
+            found, shadow, rest = by_region(squared, mask, effect)
+            both = torch.stack((found, shadow)) + self.config.far * rest
+            pixels = 5.0 * KNEE * torch.log1p(both / KNEE).sum(0)
         perceptual = torch.zeros_like(pixels) if self.distance is None else self.distance(image, target)
         return {
             "loss": pixels + self.config.perceptual * perceptual,

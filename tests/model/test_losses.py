@@ -13,7 +13,7 @@ from torchmetrics.functional.image import structural_similarity_index_measure
 
 from multilight.datagen.errors import UserError
 from multilight.model.configs.stage2d import LossConfig
-from multilight.model.training.losses import CompositingLoss, StructureDistance, changed_and_elsewhere, glow_loss, ssim
+from multilight.model.training.losses import CompositingLoss, StructureDistance, by_region, glow_loss, ssim
 from multilight.model.training.vgg import VGG19Features, load_vgg19
 from tests.model.test_training import a_batch
 
@@ -157,15 +157,28 @@ def test_stand_in_is_zero_for_equal_pictures_and_sees_a_lost_edge() -> None:
     assert distance(blurred, target) > 5 * distance(0.98 * target, target)
 
 
-def test_errors_are_averaged_over_what_the_object_changes_and_over_the_rest() -> None:
+def test_errors_are_averaged_over_the_object_its_effect_and_the_rest() -> None:
     mask, effect, error = torch.zeros(2, 1, 8, 8), torch.zeros(2, 3, 8, 8), torch.ones(2, 3, 8, 8)
     mask[:, :, :2] = 1
     error[:, :, :2] = 3.0
+    effect[:, :, 1] = 0.3  # where the object is, no effect counts
     effect[0, 1, 4] = -0.02  # a shadow in the first picture only; as seen as not
     error[0, :, 4] = 7.0
-    inside, outside = changed_and_elsewhere(error, mask, effect)
-    assert torch.allclose(inside, torch.tensor([(16 * 3 + 4 * 7) / 20, 3.0]))
-    assert torch.allclose(outside, torch.tensor([(40 + 4 * 7) / 44, 1.0]))
+    found, shadow, rest = by_region(error, mask, effect)
+    assert torch.allclose(found, torch.tensor([3.0, 3.0]))
+    assert torch.allclose(shadow, torch.tensor([7.0, 0.0]))
+    assert torch.allclose(rest, torch.tensor([(40 + 4 * 7) / 44, 1.0]))
+
+
+def test_a_shadow_counts_however_wrong_the_object_is() -> None:
+    loss = CompositingLoss(LossConfig(perceptual=0))
+    mask, effect = torch.zeros(1, 1, 16, 16), torch.zeros(1, 3, 16, 16)
+    mask[:, :, :4], effect[:, :, 8:] = 1, -0.5
+    gained = []
+    for wrong in (0.0, 0.4):
+        without = loss(wrong * mask.expand(1, 3, -1, -1) - effect, 0 * effect, mask, effect)["pixels"]
+        gained.append(without - loss(wrong * mask.expand(1, 3, -1, -1), 0 * effect, mask, effect)["pixels"])
+    assert gained[1] > 0.5 * gained[0]
 
 
 def test_glow_is_judged_on_the_object_alone() -> None:
@@ -212,5 +225,5 @@ def test_logarithmic_loss_follows_psnr() -> None:
     target = torch.zeros(4, 3, 16, 16)
     image = torch.tensor([1e-6, 1e-2, 1e-1, 1.0]).sqrt().view(4, 1, 1, 1).expand_as(target)
     values = loss(image, target, torch.ones(4, 1, 16, 16), torch.zeros_like(target))["loss"]
-    assert values[0] == pytest.approx(1e-5, rel=1e-2)
-    assert values[3] - values[2] == pytest.approx(0.01 * np.log(10), rel=0.02)
+    assert values[0] == pytest.approx(5e-6, rel=1e-2)
+    assert values[3] - values[2] == pytest.approx(0.005 * np.log(10), rel=0.02)
