@@ -95,7 +95,7 @@ class LossConfig(Settings):
     """Weight of the perceptual distance."""
     vgg: Path | None = None
     """VGG19 weights (torchvision .pth or MatConvNet .mat); without: a stand-in, gradients and SSIM."""
-    lights: Annotated[float, Field(ge=0, le=1)] = 0.01
+    lights: Annotated[float, Field(ge=0, le=1)] = 3e-3
     """Weight of how far guessed lights are from the true ones, of a head that guesses them."""
     glow: Annotated[float, Field(ge=0, le=1)] = 0.05
     """Weight of how wrong the same head is about where the object itself glows."""
