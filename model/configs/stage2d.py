@@ -99,7 +99,7 @@ class LossConfig(Settings):
     """Weight of how far guessed lights are from the true ones, of a head that guesses them."""
     glow: Annotated[float, Field(ge=0, le=1)] = 0.05
     """Weight of how wrong the same head is about where the object itself glows."""
-    far: Positive = 30.0
+    far: Positive = 10.0
     """Of `log`: weight of the mean error elsewhere, against 1 of that on the object, and on its effect."""
 
 
