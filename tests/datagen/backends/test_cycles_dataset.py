@@ -19,7 +19,7 @@ from multilight.datagen.storage.store import file_sha256, scene_dir, scene_indic
 
 pytestmark = pytest.mark.slow
 
-TINY = ["--width", "96", "--height", "72", "--views", "3", "--spp", "4", "--seed", "5"]
+TINY = ["--width", "96", "--height", "72", "--views", "2", "--spp", "4", "--seed", "5"]
 Channels = dict[str, np.ndarray]
 
 
@@ -127,7 +127,7 @@ def test_a_kill_threads_and_workers_change_no_byte(dataset: Path, tmp_path: Path
     process.wait()
     assert scene_indices(root) == [0]
     assert main(["dataset", "--out", str(root), "--scenes", "2", "--renderer", "cycles", *TINY]) == 0
-    for file in ("scene.json", "views/00.exr", "views/02.exr", "preview.png"):
+    for file in ("scene.json", "views/00.exr", "views/01.exr", "preview.png"):
         assert file_sha256(scene_dir(root, 1) / file) == file_sha256(scene_dir(dataset, 1) / file), file
 
 
@@ -140,8 +140,8 @@ def test_a_broken_model_is_named_and_passed_over(tmp_path: Path, capsys: pytest.
     shown = capsys.readouterr().out
     assert "broken.glb" in shown
     assert "2 assets, 1 broken" in shown
-    words = ["scene", "--out", str(tmp_path / "d"), "--renderer", "cycles", *TINY, "--assets", str(folder)]
-    assert main(words) == 0
+    size = ["--width", "32", "--height", "24", "--views", "1", "--spp", "1"]  # by whichever renderer is there
+    assert main(["scene", "--out", str(tmp_path / "d"), *size, "--assets", str(folder)]) == 0
     errors = capsys.readouterr().err
     assert "passed over 1 broken assets" in errors
     assert "broken.glb" in errors
