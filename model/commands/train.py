@@ -26,6 +26,8 @@ class Train:
     """Folder of checkpoints, logs and weights (over the file's `out`)."""
     data: str | None = None
     """Dataset to learn from: a folder or an address (over the file's `data.train`)."""
+    start: str | None = None
+    """Finished weights to learn on from: a file, or ready-made ones by name (over the file's `start`)."""
     minutes: float | None = None
     """Length of the training (over the file's `minutes`)."""
     fresh: bool = False
@@ -48,7 +50,8 @@ class Train:
         path = config_file(self.config)
         values = read_values(path)
         kind = SceneTrainingConfig if "weights_2d" in values else TrainingConfig
-        config = validated(values, kind, path, {"out": self.out, "data.train": self.data, "minutes": self.minutes})
+        given = {"out": self.out, "start": self.start, "data.train": self.data, "minutes": self.minutes}
+        config = validated(values, kind, path, given)
         if self.show:
             print(as_toml(config))
             return 0

@@ -121,6 +121,8 @@ class TrainingConfig(Settings):
     """Folder of checkpoints, logs, sample pictures and the finished weights."""
     network: NetworkConfig = NetworkConfig()
     """The network, or the name of a preset: `slim` or `paper`."""
+    start: Path | None = None
+    """Finished weights of the same network to learn on from: a file, or ready-made ones by name (default: none)."""
     data: DataConfig
     loss: LossConfig = LossConfig()
     stages: Annotated[tuple[StageConfig, ...], Field(min_length=1)] = (StageConfig(),)

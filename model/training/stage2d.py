@@ -13,6 +13,7 @@ from multilight.datagen.files.outputs import check_folder
 from multilight.datagen.report import Report, silent
 from multilight.model.configs.stage2d import TrainingConfig
 from multilight.model.device import chosen_device
+from multilight.model.networks.checkpoint import load_network
 from multilight.model.networks.compositing2d import Compositing2D
 from multilight.model.training.batches import ALONE, Batch, Process, stage_at, training_batches, validation_batches
 from multilight.model.training.losses import glow_loss, light_loss
@@ -49,7 +50,8 @@ class Trainer2D(Trainer[Batch]):
         self._batches: Iterator[dict[str, Any]] | None = None
 
     def _make_network(self) -> Compositing2D:
-        return Compositing2D(self.config.network)
+        start = self.config.start
+        return load_network(start) if start else Compositing2D(self.config.network)
 
     def _validation(self) -> list[Batch]:
         return validation_batches(self.config.data, self.config.stages[-1], self.device)

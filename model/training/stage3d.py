@@ -9,7 +9,7 @@ from multilight.datagen.files.outputs import check_folder
 from multilight.datagen.report import Report, silent
 from multilight.model.configs.stage3d import SceneTrainingConfig
 from multilight.model.device import chosen_device
-from multilight.model.networks.checkpoint import load_network
+from multilight.model.networks.checkpoint import load_network, load_network3d
 from multilight.model.networks.compositing3d import SceneNetwork, harmonize_scene, scene_network
 from multilight.model.training.optimization import denormals_as_zero
 from multilight.model.training.samples3d import SceneSample, SceneSamples
@@ -29,7 +29,8 @@ class Trainer3D(Trainer[SceneSample]):
 
     def _make_network(self) -> SceneNetwork:
         self.stage2d = load_network(self.config.weights_2d).to(self.device).requires_grad_(False)
-        return scene_network(self.config.network)
+        start = self.config.start
+        return load_network3d(start) if start else scene_network(self.config.network)
 
     def _validation(self) -> Iterable[SceneSample]:
         count = self.config.data.validation_samples

@@ -121,6 +121,22 @@ def test_finished_weights_load_and_say_what_they_are(spheres_dataset: Path, tmp_
         load_network(tmp_path / "cut.safetensors")
 
 
+def test_learning_on_begins_with_finished_weights(
+    spheres_dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    train(config(spheres_dataset, tmp_path / "first", steps=2))
+    begun = tmp_path / "first" / "model.safetensors"
+    further = config(spheres_dataset, tmp_path / "on", steps=1, start=begun, learning_rate=1e-12, seed=1)
+    train(further)
+    old, new = (load_file(folder / "model.safetensors") for folder in (begun.parent, further.out))
+    for name, tensor in old.items():
+        torch.testing.assert_close(new[name], tensor, rtol=1e-5, atol=1e-7, msg=name)
+    words = ["train", "slim", "--data", str(spheres_dataset), "--out", str(tmp_path / "no"), "--start", str(begun)]
+    assert main(words, COMMANDS) == 1
+    assert "first/model.safetensors' has network.width = 16, not" in capsys.readouterr().err
+    assert not (tmp_path / "no" / "checkpoints").exists()
+
+
 def test_going_on_with_another_configuration_is_refused(spheres_dataset: Path, tmp_path: Path) -> None:
     train(config(spheres_dataset, tmp_path, steps=1))
     with pytest.raises(UserError, match=r"learning_rate = 0\.001, now it is 0\.01"):

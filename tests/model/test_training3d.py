@@ -89,6 +89,9 @@ def test_evaluated_together_and_consistent(spheres_dataset: Path, weights2d: Pat
     train_scenes(made)
     weights = made.out / "model.safetensors"
     assert load_network3d(weights).config == made.network
+    on = Trainer3D(config(spheres_dataset, weights2d, tmp_path / "on", start=weights, seed=1), CPU)
+    for name, tensor in load_network3d(weights).state_dict().items():
+        assert torch.equal(on.network.state_dict()[name], tensor), name
     method = scene_method(weights2d, weights, "cpu")
     method.side = 32
     settings = CaseSettings(splits=("train",), groups=8, size=64)
