@@ -39,8 +39,7 @@ def check_training(config: TrainingConfig) -> None:
     if isinstance(config, SceneTrainingConfig):
         views = config.views
         weights_config(config.weights_2d, NetworkConfig)
-    if config.start is not None:
-        _check_start(config.start, config.network)
+    check_start(config)
     check_file("loss.vgg", config.loss.vgg)
     data = config.data
     _check_scenes("data.train", data.train, "train", data.where, views, "name another dataset with --data")
@@ -49,12 +48,14 @@ def check_training(config: TrainingConfig) -> None:
         _check_scenes("validation", data.validation or data.train, data.validation_split, None, views, remedy)
 
 
-def _check_start(path: Path, network: NetworkConfig) -> None:
-    """Raise `UserError` where the weights to learn on from are of another network."""
-    asked = network.model_dump()
-    for key, value in weights_config(path, type(network)).model_dump().items():
+def check_start(config: TrainingConfig) -> None:
+    """Raise `UserError` where the weights to learn on from, if any, are of another network."""
+    if config.start is None:
+        return
+    asked = config.network.model_dump()
+    for key, value in weights_config(config.start, type(config.network)).model_dump().items():
         if value != asked[key]:
-            raise UserError(f"start = '{path}' has network.{key} = {value!r}, not {asked[key]!r}; say the same")
+            raise UserError(f"start = '{config.start}' has network.{key} = {value!r}, not {asked[key]!r}; say the same")
 
 
 def _check_scenes(key: str, address: str, split: str, where: str | None, views: int, remedy: str) -> None:

@@ -16,6 +16,7 @@ from torch import Tensor, nn
 from multilight.datagen.errors import UserError
 from multilight.datagen.report import Report, silent
 from multilight.datagen.text import duration, size
+from multilight.model.configs.checks import check_start
 from multilight.model.configs.stage2d import TrainingConfig
 from multilight.model.networks.checkpoint import (
     Progress,
@@ -43,6 +44,7 @@ class Trainer(ABC, Generic[Sample]):
 
     def __init__(self, config: TrainingConfig, device: torch.device, process: Process = ALONE) -> None:
         """Make the network; goes on from the newest checkpoint in `config.out`, where there is one."""
+        check_start(config)
         self.config, self.device, self.process = config, device, process
         torch.manual_seed(config.seed)
         self.network = self._make_network().to(device)
@@ -60,7 +62,7 @@ class Trainer(ABC, Generic[Sample]):
 
     @abstractmethod
     def _make_network(self) -> nn.Module:
-        """Make the network, untrained."""
+        """Make the network, untrained or with the weights to learn on from."""
 
     @abstractmethod
     def _validation(self) -> Iterable[Sample]:

@@ -131,6 +131,8 @@ def test_learning_on_begins_with_finished_weights(
     old, new = (load_file(folder / "model.safetensors") for folder in (begun.parent, further.out))
     for name, tensor in old.items():
         torch.testing.assert_close(new[name], tensor, rtol=1e-5, atol=1e-7, msg=name)
+    with pytest.raises(UserError, match=r"has network\.width = 16, not 32"):
+        train(config(spheres_dataset, tmp_path / "wider", network=TINY | {"width": 32}, start=begun))
     words = ["train", "slim", "--data", str(spheres_dataset), "--out", str(tmp_path / "no"), "--start", str(begun)]
     assert main(words, COMMANDS) == 1
     assert "first/model.safetensors' has network.width = 16, not" in capsys.readouterr().err
