@@ -80,16 +80,15 @@ def variants(settings: AblationSettings, seed: int) -> dict[str, Values]:
     match settings.name:
         case "head":
             return {
-                "gain": {},
-                "gain, no cues": {"network": {"cues": False}},
-                "gain, pyramid": {"network": {"body": "pyramid"}},
-                "light, pyramid": {"network": {"body": "pyramid", "head": "light"}},
-                "light, pyramid, lights not told": {
+                "light": {"network": {"body": "pyramid", "head": "light"}},
+                "light, not told the true lights": {
                     "network": {"body": "pyramid", "head": "light"},
                     "loss": {"lights": 0.0},
                 },
-                "residual": {"network": {"head": "residual"}},
-                "direct": {"network": {"head": "direct"}},
+                "gain": {"network": {"body": "pyramid", "head": "gain"}},
+                "gain, attention": {"network": {"body": "attention", "head": "gain"}},
+                "residual": {"network": {"body": "pyramid", "head": "residual"}},
+                "direct": {"network": {"body": "pyramid", "head": "direct"}},
             }
         case "inputs":
             return {

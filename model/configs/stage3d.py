@@ -17,6 +17,8 @@ Carry = Literal["average", "pixel"]
 class SceneNetworkConfig(NetworkConfig):
     """The shape of the network of the 3D stage, and what it works on: 0.4 M parameters, unless told otherwise."""
 
+    body: Literal["pyramid", "attention"] = "attention"
+    """What reads the map: here always attention."""
     stride: Literal[1, 2, 4, 8] = 4
     """Map cells a side of a token."""
     width: Annotated[int, Field(ge=8, le=1024)] = 64

@@ -14,7 +14,7 @@ from torch.nn import functional
 
 from multilight.model.configs.stage3d import SceneNetworkConfig
 from multilight.model.gaussians.splat_scene import SplatScene
-from multilight.model.networks.compositing2d import Backbone
+from multilight.model.networks.attention import Backbone
 from multilight.model.networks.input_features import linear_to_srgb, srgb_to_linear
 from multilight.model.networks.points3d import FEATURES, PointTransformer, point_features
 from multilight.scenes.arrays import Float32

@@ -48,7 +48,7 @@ from multilight.model.networks.compositing3d import Compositing3D, harmonize_sce
 from multilight.model.networks.points3d import MEMBERS, PointTransformer, clusters, point_features
 from multilight.scenes.gaussians.from_views import normals_from_depth
 
-TINY = {"width": 16, "heads": 2, "groups": 1, "blocks": 2, "window": 4, "pooled": 2}
+TINY = {"body": "attention", "width": 16, "heads": 2, "groups": 1, "blocks": 2, "window": 4, "pooled": 2}
 TINY3D = {**TINY, "stride": 2}
 SIDE = 32
 
@@ -85,7 +85,7 @@ def pictures(seed: int, size: int = 40) -> tuple[torch.Tensor, ...]:
     return composite, background, depth, mask
 
 
-@pytest.mark.parametrize("head", ["gain", "residual", "direct"])
+@pytest.mark.parametrize("head", ["light", "gain", "residual", "direct"])
 @pytest.mark.parametrize(("blind", "place"), [("background", 1), ("depth", 2)])
 def test_what_is_withheld_reaches_no_output(head: str, blind: Input, place: int) -> None:
     given, other = list(pictures(0)), pictures(1)
@@ -101,7 +101,7 @@ def test_large_pictures_and_missing_masks_leak_nothing(monkeypatch: pytest.Monke
     monkeypatch.setattr("multilight.model.inference.harmonize.WHOLE", 32)
     monkeypatch.setattr("multilight.model.inference.harmonize.OVERLAP", 8)
     composite, background, depth, mask = (p[0].permute(1, 2, 0).numpy() for p in pictures(0))
-    for head in ("gain", "residual"):
+    for head in ("light", "gain", "residual"):
         network = random_network(head=head, blind=["background", "depth"])
         first = harmonize(network, composite, background, depth[..., 0], mask=mask[..., 0])
         again = harmonize(network, composite, background[::-1], depth[::-1, :, 0], mask=mask[..., 0])

@@ -6,23 +6,19 @@ from torch import Tensor
 from torch.nn import functional
 
 from multilight.model.configs.stage2d import NETWORKS, NetworkConfig
+from multilight.model.networks.attention import Block, WindowAttention, from_windows, shift_mask, windows_of
 from multilight.model.networks.compositing2d import (
     DARK,
     LEAST_LOG_GAIN,
     LEAST_OFFSET,
     STATISTICS,
-    Block,
     Compositing2D,
-    WindowAttention,
     apply_gains,
-    from_windows,
-    shift_mask,
     statistics,
-    windows_of,
 )
 from multilight.model.networks.input_features import linear_to_srgb, soft_mask, srgb_to_linear
 
-TINY = NetworkConfig(width=16, heads=2, groups=1, blocks=2, window=4, pooled=2)
+TINY = NetworkConfig(body="attention", width=16, heads=2, groups=1, blocks=2, window=4, pooled=2)
 
 
 def pictures(height: int, width: int, count: int = 1, seed: int = 0) -> tuple[Tensor, Tensor, Tensor]:

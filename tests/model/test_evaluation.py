@@ -224,7 +224,7 @@ def test_the_best_of_a_column_is_set_off() -> None:
 def evaluated(spheres_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What the command writes of an untrained network, which returns the composite."""
     folder = tmp_path_factory.mktemp("evaluated")
-    config = NetworkConfig(width=16, groups=1, blocks=2, heads=2, window=4, pooled=2)
+    config = NetworkConfig(body="attention", width=16, groups=1, blocks=2, heads=2, window=4, pooled=2)
     save_network(folder / "tiny.safetensors", Compositing2D(config), config, {})
     words = ["evaluate", str(spheres_dataset), "--weights", str(folder / "tiny.safetensors"), "--groups", "2"]
     words += ["--size", "48", "--splits", "train", "val", "test", "--out", str(folder / "out")]

@@ -21,7 +21,7 @@ from multilight.model.inference.pictures import read_depth, read_mask, read_pict
 from multilight.model.networks.checkpoint import save_network
 from multilight.model.networks.compositing2d import Compositing2D
 
-SMALL = {"width": 16, "groups": 1, "blocks": 2, "heads": 2, "window": 4, "pooled": 2}
+SMALL = {"body": "attention", "width": 16, "groups": 1, "blocks": 2, "heads": 2, "window": 4, "pooled": 2}
 
 
 def network(head: str, *, random: bool = True) -> Compositing2D:

@@ -41,7 +41,7 @@ from tests.datagen.test_video import decoded
 
 pytest.importorskip("pycolmap")
 
-SMALL = {"width": 16, "groups": 1, "blocks": 2, "heads": 2, "window": 4, "pooled": 2}
+SMALL = {"body": "attention", "width": 16, "groups": 1, "blocks": 2, "heads": 2, "window": 4, "pooled": 2}
 NETWORK = NetworkConfig(head="gain", **SMALL)
 
 

@@ -25,7 +25,7 @@ from multilight.scenes.gaussians.splatting import blending_weights
 from multilight.scenes.spec import Camera
 
 SIDE = 32
-TINY = {"stride": 2, "width": 16, "groups": 1, "blocks": 2, "heads": 2, "window": 4, "pooled": 2}
+TINY = {"body": "attention", "stride": 2, "width": 16, "groups": 1, "blocks": 2, "heads": 2, "window": 4, "pooled": 2}
 
 
 @pytest.fixture(scope="module")

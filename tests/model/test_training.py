@@ -30,7 +30,7 @@ from multilight.model.training.optimization import average_into, learning_rate, 
 from multilight.model.training.stage2d import Trainer2D, train
 from tests import ROOT
 
-TINY = {"width": 16, "heads": 2, "groups": 1, "blocks": 2, "window": 4, "pooled": 2}
+TINY = {"body": "attention", "width": 16, "heads": 2, "groups": 1, "blocks": 2, "window": 4, "pooled": 2}
 CPU = torch.device("cpu")
 
 
@@ -184,7 +184,7 @@ def test_two_processes_learn_as_one(spheres_dataset: Path, tmp_path: Path) -> No
     toml = tmp_path / "two.toml"
     toml.write_text(
         f'out = "{tmp_path / "two"}"\nsteps = 2\nwarmup = 1\nsave_every = 1\nclip = 1e9\n'
-        "network = {width = 16, heads = 2, groups = 1, blocks = 2, window = 4, pooled = 2}\n"
+        "network = {body = 'attention', width = 16, heads = 2, groups = 1, blocks = 2, window = 4, pooled = 2}\n"
         f'stages = [{{size = 32, batch = 4}}]\n[data]\ntrain = "{spheres_dataset}"\nworkers = 0\n'
         "validation_samples = 0\n"
     )

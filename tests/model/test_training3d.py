@@ -20,7 +20,7 @@ from multilight.model.networks.compositing2d import Compositing2D
 from multilight.model.training.samples3d import SceneSamples
 from multilight.model.training.stage3d import Trainer3D, train_scenes
 
-TINY = {"width": 16, "heads": 2, "groups": 1, "blocks": 2, "window": 4, "pooled": 2}
+TINY = {"body": "attention", "width": 16, "heads": 2, "groups": 1, "blocks": 2, "window": 4, "pooled": 2}
 CPU = torch.device("cpu")
 
 
