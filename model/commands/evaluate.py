@@ -1,5 +1,6 @@
 """`multilight evaluate`: how good models are, beside classical methods, on scenes never seen."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -67,12 +68,12 @@ class Evaluate:
         from multilight.model.inference.harmonize import network_harmonizer
 
         groups = self._groups()
-        models = {path.stem: network_harmonizer(path, self.device) for path in self.weights}
+        models = {name: network_harmonizer(path, self.device) for name, path in named(self.weights).items()}
         methods = methods_of(models)
         if self.weights_3d is not None:
-            stem = self.weights[-1].stem
+            last = list(models)[-1]
             for steps in (0, *self.refine_iterations):
-                name = f"{stem} + 3D, {steps} refined" if steps else f"{stem} + 3D"
+                name = f"{last} + 3D, {steps} refined" if steps else f"{last} + 3D"
                 methods[name] = scene_method(self.weights[-1], self.weights_3d, self.device, refine_iterations=steps)
         lpips = Lpips.load(self.lpips) if self.lpips else None
         report(0, len(groups), "comparing")
@@ -99,8 +100,8 @@ class Evaluate:
         check_device(self.device)
         for path in self.weights:
             weights_config(path, NetworkConfig)
-        if not self.weights or len({path.stem for path in self.weights}) < len(self.weights):
-            raise UserError(f"--weights {' '.join(map(str, self.weights))}: give one or more files of different names")
+        if not self.weights or len(named(self.weights)) < len(self.weights):
+            raise UserError(f"--weights {' '.join(map(str, self.weights))}: give one or more different files")
         if self.weights_3d is not None:
             weights_config(self.weights_3d, SceneNetworkConfig)
         check_file("--depth-model", self.depth_model)
@@ -136,4 +137,15 @@ class Evaluate:
             size = f"{self.cases.size} x {self.cases.size}"
             facts |= {"splits": ", ".join(self.cases.splits), "seed": str(self.cases.seed), "size": size}
             facts["lighting"] = self.cases.lighting
-        return facts | {f"weights {path.stem}": file_sha256(weights_file(path))[:12] for path in self.weights}
+        return facts | {
+            f"weights {name}": file_sha256(weights_file(path))[:12] for name, path in named(self.weights).items()
+        }
+
+
+def named(weights: Sequence[Path]) -> dict[str, Path]:
+    """Name models after their files, with the folder where two files are alike."""
+    stems = [path.stem for path in weights]
+    alone = [stems.count(stem) == 1 for stem in stems]
+    return {
+        path.stem if own else f"{path.parent.name}/{path.stem}": path for path, own in zip(weights, alone, strict=True)
+    }

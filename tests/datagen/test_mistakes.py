@@ -130,7 +130,7 @@ MISTAKES = {
     "evaluate DATA --out O --size 7": "--size 7 must be 16 to 4096",
     "evaluate DATA --out O --splits test": "no scene of test; its scenes are of train",
     "evaluate DATA --out O --device gpu": "--device gpu is no device; say auto, cpu",
-    "evaluate DATA --out O --weights slim slim": "give one or more files of different names",
+    "evaluate DATA --out O --weights slim slim": "give one or more different files",
     "ablate head DATA --out O --size 7": "--size 7 must be 16 to 4096",
     "ablate order DATA --out O": "give --weights-2d slim",
     f"{INSERT} --out O --side 100": "--side 100 must be a power of two",

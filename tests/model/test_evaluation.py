@@ -17,6 +17,7 @@ from multilight.lights.display.tonemap import tone_curve
 from multilight.lights.sample_conditions import WHITE
 from multilight.lights.spec import AreaLight, EmissiveLight, Light, LightRig, PointLight, SunLight
 from multilight.model.cli import COMMANDS
+from multilight.model.commands.evaluate import named
 from multilight.model.configs.stage2d import NetworkConfig
 from multilight.model.evaluation.cases import Group, LazyGroup, dataset_groups, subsets_of
 from multilight.model.evaluation.consistency import disagreement, sample, shared_pairs, shared_pixels
@@ -243,6 +244,11 @@ def test_command_writes_tables_and_pictures(evaluated: Path) -> None:
     assert all(set(frame["scores"]) == set(found["methods"]) for frame in found["frames"])
     table = (evaluated / "table.md").read_text()
     assert f"| raw composite | {raw:.2f}" in table or f"| raw composite | **{raw:.2f}**" in table
+
+
+def test_models_of_equal_file_names_are_told_apart_by_folder() -> None:
+    paths = [Path("runs/few/model.safetensors"), Path("runs/many/model.safetensors"), Path("slim")]
+    assert named(paths) == dict(zip(("few/model", "many/model", "slim"), paths, strict=True))
 
 
 def test_the_divider_follows_mouse_finger_and_keys(browser: Any, evaluated: Path) -> None:
