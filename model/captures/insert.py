@@ -13,7 +13,7 @@ from multilight.model.captures.planes import scene_centre
 from multilight.model.configs.stage3d import SLIM3D
 from multilight.model.gaussians.splat_scene import splat_scene
 from multilight.model.inference.depth import depth_from_metres
-from multilight.model.inference.harmonize import harmonize
+from multilight.model.inference.harmonize import harmonize, lights_of_views
 from multilight.model.networks.compositing2d import Compositing2D
 from multilight.model.networks.compositing3d import Compositing3D, SceneNetwork, harmonize_views
 from multilight.scenes.arrays import Float32
@@ -65,18 +65,23 @@ def harmonize_capture(
     side: int,
     report: Report,
 ) -> Harmonized:
-    """Harmonize view by view, then all together on side * side Gaussians.
+    """Harmonize view by view under one set of lights, then all together on side * side Gaussians.
 
-    Without a network of the 3D stage, what the views say of a Gaussian is averaged: that is consistent as well.
-    Where no view was changed, the capture's own pixels stay. `report` is told (views done, views).
+    Without a network of the 3D stage the views stay as one set of lights makes them. Where the 2D network guesses no
+    lights, what its views say of a Gaussian is averaged. Where no view was changed, the capture's own pixels stay.
+    `report` is told (views done, views).
     """
+    depths = [depth_from_metres(depth) for depth in inserted.z_depths]
+    rotations = np.stack([camera.pose()[:3, :3] for camera in capture.cameras])
+    composites, backgrounds, masks = map(list, (inserted.composites, capture.images, inserted.coverage))
+    lights = lights_of_views(network, composites, backgrounds, depths, masks, rotations)
     alone = []
-    for number, (composite, background) in enumerate(zip(inserted.composites, capture.images, strict=True)):
-        mask = inserted.coverage[number]
+    for composite, background, depth, mask, numbers in zip(composites, backgrounds, depths, masks, lights, strict=True):
         seen = mask.max() > 0
-        depth = depth_from_metres(inserted.z_depths[number])
-        alone.append(harmonize(network, composite, background, depth, mask=mask) if seen else composite)
-        report(number + 1, len(capture.images))
+        alone.append(
+            harmonize(network, composite, background, depth, mask=mask, numbers=numbers) if seen else composite
+        )
+        report(len(alone), len(capture.images))
     report(len(capture.images), len(capture.images), "harmonizing all views alike")
     single = np.stack(alone)
     device = next(network.parameters()).device
@@ -85,13 +90,12 @@ def harmonize_capture(
         scene = splat_scene(capture.cameras, inserted.z_depths, side=side, order=stage3d.config.order).to(device)
     except ValueError as error:
         raise UserError(f"{capture.path}: {error}; --side must be a power of two, and the views need depth") from None
-    colors, views = harmonize_views(stage3d, scene, inserted.composites, single, capture.images)
+    colors, together = harmonize_views(stage3d, scene, inserted.composites, single, capture.images)
+    gaussians = replace(scene.gaussians.gaussians, colors=colors)
+    if network3d is None and network.config.head == "light":
+        return Harmonized(single, single, gaussians)
     confidence = depth_confidence(scene, capture.cameras, inserted.z_depths)
-    return Harmonized(
-        single=single,
-        views=repaired(single, views, confidence, inserted.coverage),
-        gaussians=replace(scene.gaussians.gaussians, colors=colors),
-    )
+    return Harmonized(single, repaired(single, together, confidence, inserted.coverage), gaussians)
 
 
 def _unseen(capture: Capture, placed: PlacedObject, views: list[ObjectView]) -> str:

@@ -27,7 +27,7 @@ from multilight.scenes.gaussians.ply import write_gaussians
 
 
 def insert_into_files(wanted: Insertion, report: Report) -> str:
-    """Insert an object and write composites/, single/, harmonized/, scene.ply, placement.json and orbit.mp4.
+    """Insert an object and write composites/, harmonized/, scene.ply, placement.json and orbit.mp4.
 
     Returns in words what was made. Raises `UserError` for what the user can mend and `wanted.check` cannot know.
     """
@@ -63,7 +63,9 @@ def insert_into_files(wanted: Insertion, report: Report) -> str:
 
 def _write(out: Path, capture: Capture, inserted: Inserted, result: Harmonized) -> None:
     masks = (np.repeat(mask[..., None], 3, axis=-1) for mask in inserted.coverage)
-    made = {"composites": inserted.composites, "single": result.single, "harmonized": result.views}
+    made = {"composites": inserted.composites, "harmonized": result.views}
+    if result.views is not result.single:
+        made["single"] = result.single
     for folder, views in (*made.items(), ("masks", masks)):
         for name, view in zip(capture.names, views, strict=True):
             write_picture(out / folder / Path(name).with_suffix(".png"), view)

@@ -63,15 +63,17 @@ class Evaluate:
     def _compared(self, report: "Report") -> "Evaluation":
         """Harmonize all pictures with all methods, and compare."""
         from multilight.model.evaluation.lpips import Lpips
-        from multilight.model.evaluation.method3d import scene_method
+        from multilight.model.evaluation.method3d import scene_method, without_network
         from multilight.model.evaluation.run import evaluate, methods_of
         from multilight.model.inference.harmonize import network_harmonizer
 
         groups = self._groups()
         models = {name: network_harmonizer(path, self.device) for name, path in named(self.weights).items()}
         methods = methods_of(models)
+        last = list(models)[-1]
+        if self._several():
+            methods |= without_network(last, self.weights[-1], self.device)
         if self.weights_3d is not None:
-            last = list(models)[-1]
             for steps in (0, *self.refine_iterations):
                 name = f"{last} + 3D, {steps} refined" if steps else f"{last} + 3D"
                 methods[name] = scene_method(self.weights[-1], self.weights_3d, self.device, refine_iterations=steps)
@@ -123,6 +125,12 @@ class Evaluate:
             return foscom_groups(self.foscom, model)[: self.cases.groups]
         assert self.dir is not None
         return dataset_groups(self.dir, self.cases)
+
+    def _several(self) -> bool:
+        """Say whether all groups have several views."""
+        from multilight.datagen.storage.open_dataset import open_dataset
+
+        return self.dir is not None and self.cases.views > 1 and min(open_dataset(self.dir).table["views"]) > 1
 
     def _about(self, frames: int) -> dict[str, str]:
         """Say what was evaluated on what."""

@@ -15,7 +15,7 @@ from multilight.model.evaluation.baselines import BASELINES, Baseline
 from multilight.model.evaluation.cases import VARIANT, Case, Group, LazyGroup
 from multilight.model.evaluation.consistency import disagreement, shared_pairs
 from multilight.model.evaluation.lpips import Lpips
-from multilight.model.evaluation.method3d import SceneMethod
+from multilight.model.evaluation.method3d import GroupMethod
 from multilight.model.evaluation.metrics import Regions, Scores, mean_scores, measure
 from multilight.model.inference.harmonize import Harmonizer
 from multilight.scenes.arrays import Float32
@@ -123,7 +123,7 @@ def evaluate(
         report(number, len(groups))
         group = load()
         for method in methods.values():
-            if isinstance(method, SceneMethod):
+            if isinstance(method, GroupMethod):
                 method.begin(group)
         pictures = [_judge(case, group, methods, found, lpips) for case in group.cases]
         if len(group.cameras) > 1 and not _made_over(group) and all(case.effect is not None for case in group.cases):

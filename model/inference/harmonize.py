@@ -1,6 +1,6 @@
 """Harmonize single pictures of any size with a trained network."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,13 +12,15 @@ from multilight.datagen.errors import UserError
 from multilight.model.device import chosen_device
 from multilight.model.networks.checkpoint import load_network
 from multilight.model.networks.compositing2d import GAIN_HEADS, Compositing2D, apply_gains, soft_mask
-from multilight.scenes.arrays import Float32
+from multilight.scenes.arrays import Float32, Float64
 
 Harmonizer = Callable[[Float32, Float32, Float32, Float32], Float32]
 """Composite and background (H, W, 3), display-encoded, depth and mask (H, W), all in [0, 1] → picture (H, W, 3)."""
 
 WHOLE = 512
 """Longest side in pixels that a network sees at once."""
+GUESSED = 256
+"""Longest side in pixels at which lights are guessed for several views."""
 OVERLAP = 64
 """Pixels that neighbouring tiles share; across them, one fades into the other."""
 
@@ -31,14 +33,20 @@ def network_harmonizer(weights: Path, device: str = "auto") -> Harmonizer:
 
 @torch.inference_mode()
 def harmonize(
-    network: Compositing2D, composite: Float32, background: Float32, depth: Float32, *, mask: Float32 | None = None
+    network: Compositing2D,
+    composite: Float32,
+    background: Float32,
+    depth: Float32,
+    *,
+    mask: Float32 | None = None,
+    numbers: Tensor | None = None,
 ) -> Float32:
     """Harmonize a picture of any size: (H, W, 3) and (H, W) float32 → (H, W, 3) float32 in [0, 1].
 
     Beyond `WHOLE` pixels, a network that predicts gains looks at the picture made smaller, and its gains, which are
     smooth, are applied at full size; any other works tile by tile. `mask` (H, W), where given, replaces the one that
-    the network makes of the difference of composite and background. Raises `UserError` where memory runs out or the
-    result is not finite.
+    the network makes of the difference of composite and background; `numbers` (1, N), where given, are those of a guess
+    of the lights that was made before. Raises `UserError` where memory runs out or the result is not finite.
     """
     device = next(network.parameters()).device
     pictures = [_tensor(p, device) for p in (composite, background, depth)]
@@ -46,11 +54,14 @@ def harmonize(
     pictures = list(network.shown(pictures[0], pictures[1], pictures[2], given))
     try:
         if max(composite.shape[:2]) <= WHOLE:
-            result = network(*pictures, given)
+            result = network(*pictures, given, numbers=numbers)
         else:
             # Of the whole picture: at a tile's border it would differ from its neighbour's.
             given = soft_mask(pictures[0], pictures[1]) if given is None else given
-            result = (_from_reduced if network.config.head in GAIN_HEADS else _from_tiles)(network, pictures, given)
+            if network.config.head in GAIN_HEADS:
+                result = _from_reduced(network, pictures, given, numbers)
+            else:
+                result = _from_tiles(network, pictures, given)
     except RuntimeError as error:
         if not isinstance(error, torch.OutOfMemoryError) and "allocate memory" not in str(error):
             raise
@@ -65,13 +76,51 @@ def harmonize(
     return found
 
 
-def _from_reduced(network: Compositing2D, pictures: list[Tensor], mask: Tensor) -> Tensor:
+@torch.inference_mode()
+def lights_of_views(
+    network: Compositing2D,
+    composites: Sequence[Float32],
+    backgrounds: Sequence[Float32],
+    depths: Sequence[Float32],
+    masks: Sequence[Float32],
+    rotations: Float64,
+) -> list[Tensor | None]:
+    """Guess one set of lights for V views of a scene.
+
+    Pictures are such as `harmonize` takes, rotations (V, 3, 3) lead from the camera's axes (OpenGL) to the world's.
+    Returns for each view what to give `harmonize` as `numbers`: None where the object is not seen, and everywhere for a
+    network whose head guesses no lights.
+    """
+    device = next(network.parameters()).device
+    seen = [number for number, mask in enumerate(masks) if mask.max() > 0]
+    found: list[Tensor | None] = [None] * len(masks)
+    if network.config.head != "light" or not seen:
+        return found
+    guesses = []
+    for number in seen:
+        views = (composites[number], backgrounds[number], depths[number], masks[number])
+        _, guess = network(*_reduced([_tensor(view, device) for view in views], GUESSED), told=True)
+        guesses.append(guess.numbers)
+    turned = torch.from_numpy(np.asarray(rotations, np.float32)[seen]).to(device)
+    agreed = network.light.of_one_scene(torch.cat(guesses), turned)
+    for number, view in zip(seen, agreed, strict=True):
+        found[number] = view[None]
+    return found
+
+
+def _from_reduced(network: Compositing2D, pictures: list[Tensor], mask: Tensor, numbers: Tensor | None) -> Tensor:
     composite, background, _ = pictures
-    scale = WHOLE / max(composite.shape[-2:])
-    size = [max(1, round(length * scale)) for length in composite.shape[-2:]]
-    small = [interpolate(picture, size=size, mode="area") for picture in (*pictures, mask)]
-    maps, _ = network.predict(*small)
+    small = _reduced([*pictures, mask], WHOLE)
+    maps, _ = network.predict(small[0], small[1], small[2], small[3], numbers)
     return apply_gains(maps, composite, background, mask).clamp(0.0, 1.0)
+
+
+def _reduced(pictures: Sequence[Tensor], longest: int) -> list[Tensor]:
+    """Average pictures (1, C, H, W) of one size down to sides of at most `longest` pixels."""
+    height, width = pictures[0].shape[-2:]
+    scale = min(1.0, longest / max(height, width))
+    size = [max(1, round(length * scale)) for length in (height, width)]
+    return [interpolate(picture, size=size, mode="area") for picture in pictures]
 
 
 def _from_tiles(network: Compositing2D, pictures: list[Tensor], mask: Tensor) -> Tensor:

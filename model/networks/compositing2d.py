@@ -79,17 +79,25 @@ class Compositing2D(nn.Module):
                 parameter.data = parameter.data.contiguous(memory_format=torch.channels_last)
 
     def forward(
-        self, composite: Tensor, background: Tensor, depth: Tensor, mask: Tensor | None = None, *, told: bool = False
+        self,
+        composite: Tensor,
+        background: Tensor,
+        depth: Tensor,
+        mask: Tensor | None = None,
+        *,
+        told: bool = False,
+        numbers: Tensor | None = None,
     ) -> Tensor | tuple[Tensor, Guess | None]:
         """Harmonize: (B, 3, H, W) display-encoded twice, (B, 1, H, W) depth in [0, 1] → (B, 3, H, W).
 
         `mask` (B, 1, H, W) in [0, 1], where given, replaces the estimated one. The result is display-encoded and, in
         training, not clipped. With `told` the guess comes along that it follows from, None of a head that makes none.
+        `numbers`, where given, are those of a guess that was made before.
         """
         composite, background, depth = self.shown(composite, background, depth, mask)
         if mask is None:
             mask = soft_mask(composite, background)
-        maps, guess = self.predict(composite, background, depth, mask)
+        maps, guess = self.predict(composite, background, depth, mask, numbers)
         if self.config.head in GAIN_HEADS:
             image = apply_gains(maps, composite, background, mask)
         else:
@@ -113,7 +121,7 @@ class Compositing2D(nn.Module):
         return composite, background, depth
 
     def predict(
-        self, composite: Tensor, background: Tensor, depth: Tensor, mask: Tensor
+        self, composite: Tensor, background: Tensor, depth: Tensor, mask: Tensor, numbers: Tensor | None = None
     ) -> tuple[Tensor, Guess | None]:
         """Return what the head predicts, gain maps at `scale` or full-resolution (B, 3, H, W), and the guess."""
         h, w = composite.shape[-2:]
@@ -135,7 +143,7 @@ class Compositing2D(nn.Module):
             inside = functional.adaptive_avg_pool2d(mask, (rows, columns))
             near = functional.interpolate(depth, size=(rows, columns), mode="nearest-exact")
             known = torch.cat((seen, deepest.mean((2, 3)), mean_inside(deepest, mask)), dim=1)
-            maps, guess = self.light(known.float(), maps.float(), *small, near, inside)
+            maps, guess = self.light(known.float(), maps.float(), *small, near, inside, numbers)
         inner, outer = maps.chunk(2, dim=1)
         if self.config.head == "gain":
             inner = inner + self.overall(torch.cat((seen, mean_inside(features, mask)), dim=1))[..., None, None]

@@ -38,15 +38,19 @@ class Lights(NamedTuple):
 
 class Guess(NamedTuple):
     """What the head took the picture for: the background's lights, and the fraction of the object's light that is its
-    own glow, (B, 1, h, w) as a logit.
+    own glow, (B, 1, h, w) as a logit; and the numbers (B, N) that stand for the lights, and for all else that is the
+    same for the whole picture.
     """
 
     lights: Lights
     glow: Tensor
+    numbers: Tensor
 
 
 class LightHead(nn.Module):
     """From what is known of the picture to the lights, and on to logarithms of gains."""
+
+    base: Tensor
 
     def __init__(self, known: int, width: int = 128) -> None:
         super().__init__()
@@ -60,18 +64,26 @@ class LightHead(nn.Module):
         self.register_buffer("base_softness", torch.tensor(BASE_SOFTNESS), persistent=False)
 
     def forward(
-        self, known: Tensor, maps: Tensor, composite: Tensor, background: Tensor, depth: Tensor, mask: Tensor
+        self,
+        known: Tensor,
+        maps: Tensor,
+        composite: Tensor,
+        background: Tensor,
+        depth: Tensor,
+        mask: Tensor,
+        numbers: Tensor | None = None,
     ) -> tuple[Tensor, Guess]:
         """Light: known (B, F), maps (B, 12 + 4, h, w), linear pictures (B, 3, h, w), depth and mask (B, 1, h, w).
 
         Returns gain maps (B, 12, h, w) and what they follow from. Of the maps, the first twelve are log-gains and
-        offsets, of the object and of its surroundings, to which the lights' are added.
+        offsets, of the object and of its surroundings, to which the lights' are added. `numbers`, where given, are
+        those of a guess that was made before.
         """
         places = points(depth)
         facing = normals(places)
         ground = (1.0 - mask) * (depth < 1.0)
         known = torch.cat((known, apparent(composite, facing, mask), apparent(background, facing, ground)), dim=1)
-        told = self.last(self.guess(known))
+        told = self.last(self.guess(known)) if numbers is None else numbers
         here, there = (self._lights(part) for part in told[:, : 2 * OF_SET].chunk(2, dim=1))
         overall, strength = told[:, 2 * OF_SET : -3, None, None], told[:, -3:, None, None]
         inner, outer, fraction = maps.split((6, 6, CHANNELS), dim=1)
@@ -83,7 +95,25 @@ class LightHead(nn.Module):
         logit = fraction[:, 3:] + KEPT
         glow = logit.sigmoid()
         gain = (glow + (1.0 - glow) * (gain + (lit / came).log()).clamp(-4.0, 4.0).exp()).log()
-        return torch.cat((gain, (1.0 - glow) * offset, outer[:, :3] + shadow, outer[:, 3:]), dim=1), Guess(here, logit)
+        return torch.cat((gain, (1.0 - glow) * offset, outer[:, :3] + shadow, outer[:, 3:]), dim=1), Guess(
+            here, logit, told
+        )
+
+    def of_one_scene(self, numbers: Tensor, rotations: Tensor) -> Tensor:
+        """Agree on one set of lights for V views of a scene: numbers (V, N), rotations (V, 3, 3) camera to world.
+
+        Returns numbers (V, N): directions are averaged in the world's axes, all else as it is.
+        """
+        agreed = numbers.mean(dim=0).expand_as(numbers).clone()
+        for start in (0, OF_SET):
+            part = slice(start, start + LIGHTS * OF_LIGHT)
+            own = numbers[:, part].unflatten(1, (LIGHTS, OF_LIGHT))[..., :3]
+            towards = functional.normalize(self.base + own, dim=2)  # (V, K, 3)
+            mean = torch.einsum("vij,vkj->vki", rotations, towards).mean(dim=0)
+            agreed[:, part].unflatten(1, (LIGHTS, OF_LIGHT))[..., :3] = (
+                torch.einsum("vji,kj->vki", rotations, mean) - self.base
+            )
+        return agreed
 
     def _lights(self, told: Tensor) -> Lights:
         each, ambient = told.split((LIGHTS * OF_LIGHT, 3), dim=1)

@@ -225,7 +225,7 @@ def test_the_best_of_a_column_is_set_off() -> None:
 def evaluated(spheres_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What the command writes of an untrained network, which returns the composite."""
     folder = tmp_path_factory.mktemp("evaluated")
-    config = NetworkConfig(body="attention", width=16, groups=1, blocks=2, heads=2, window=4, pooled=2)
+    config = NetworkConfig(body="attention", head="light", width=16, groups=1, blocks=2, heads=2, window=4, pooled=2)
     save_network(folder / "tiny.safetensors", Compositing2D(config), config, {})
     words = ["evaluate", str(spheres_dataset), "--weights", str(folder / "tiny.safetensors"), "--groups", "2"]
     words += ["--size", "48", "--splits", "train", "val", "test", "--out", str(folder / "out")]
@@ -238,7 +238,8 @@ def test_command_writes_tables_and_pictures(evaluated: Path) -> None:
     assert not re.search(r'(src|href)="(?!data:)', page), "the page is self-contained"
     assert page.count("data:image/jpeg") > 12
     found = json.loads((evaluated / "evaluation.json").read_text())
-    assert list(found["methods"]) == ["raw composite", "colour transfer", "histogram", "Poisson", "tiny"]
+    together = ["tiny, averaged over views", "tiny, one set of lights"]
+    assert list(found["methods"]) == ["raw composite", "colour transfer", "histogram", "Poisson", "tiny", *together]
     untrained, raw = (found["methods"][name]["all"]["image"]["PSNR"] for name in ("tiny", "raw composite"))
     assert untrained == pytest.approx(raw, abs=0.05)
     assert all(set(frame["scores"]) == set(found["methods"]) for frame in found["frames"])
@@ -276,10 +277,13 @@ def test_the_divider_follows_mouse_finger_and_keys(browser: Any, evaluated: Path
         first = page.locator(".case").first
         sources = [image.get_attribute("src") for image in compare.locator("img").all()]
         assert sources == [
-            first.locator(f"figure[data-name='{name}'] img").get_attribute("src") for name in ("target", "tiny")
+            first.locator(f"figure[data-name='{name}'] img").get_attribute("src")
+            for name in ("target", "tiny, one set of lights")
         ]
         assert (
-            compare.get_by_role("slider").get_attribute("aria-label").endswith("target on the left, tiny on the right")
+            compare.get_by_role("slider")
+            .get_attribute("aria-label")
+            .endswith("target on the left, tiny, one set of lights on the right")
         )
         assert page.evaluate("document.documentElement.scrollWidth") <= width
         assert not AXE.exists() or barriers(page) == []

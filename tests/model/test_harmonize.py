@@ -16,7 +16,7 @@ from multilight.model.cli import COMMANDS
 from multilight.model.configs.stage2d import NetworkConfig
 from multilight.model.device import chosen_device
 from multilight.model.inference.depth import DepthModel, depth_from_inverse, depth_from_metres, guessed_depth
-from multilight.model.inference.harmonize import WHOLE, _starts, harmonize
+from multilight.model.inference.harmonize import WHOLE, _starts, harmonize, lights_of_views
 from multilight.model.inference.pictures import read_depth, read_mask, read_picture, resized
 from multilight.model.networks.checkpoint import save_network
 from multilight.model.networks.compositing2d import Compositing2D
@@ -56,6 +56,37 @@ def files(tmp_path: Path) -> dict[str, Path]:
 def run(files: dict[str, Path], *more: str, without: tuple[str, ...] = ()) -> int:
     words = [w for name, path in files.items() if name not in without for w in (f"--{name}", str(path))]
     return main(["harmonize", *words, *more], COMMANDS)
+
+
+def guessing() -> Compositing2D:
+    """A network of lights alone: what it makes of a picture follows from the lights that it guesses."""
+    made = network("light", random=False)
+    torch.nn.init.normal_(made.light.last.weight, std=0.5)
+    return made
+
+
+def test_lights_are_guessed_once_for_all_views(monkeypatch: pytest.MonkeyPatch) -> None:
+    composite, background, mask, depth = pictures(48, 64)
+    made, turned = guessing(), np.stack([np.eye(3)] * 3)
+    others = [composite, np.where(mask[..., None] > 0, 0.2 * composite, background), composite]
+    masks = [mask, mask, np.zeros_like(mask)]
+    first, second, unseen = lights_of_views(made, others, [background] * 3, [depth] * 3, masks, turned)
+    assert first is not None
+    assert second is not None
+    assert unseen is None
+    assert torch.equal(first, second)
+    alone = [harmonize(made, c, background, depth, mask=mask) for c in others[:2]]
+    alike = [harmonize(made, c, background, depth, mask=mask, numbers=first) for c in others[:2]]
+    assert max(np.abs(a - b).max() for a, b in zip(alone, alike, strict=True)) > 0.02
+    own = lights_of_views(made, others[:1], [background], [depth], [mask], turned[:1])[0]
+    np.testing.assert_allclose(
+        harmonize(made, composite, background, depth, mask=mask, numbers=own), alone[0], atol=1e-5
+    )
+    monkeypatch.setattr("multilight.model.inference.harmonize.WHOLE", 40)
+    large = harmonize(made, composite, background, depth, mask=mask, numbers=first)
+    assert np.abs(large - alike[0]).mean() < 0.5 * np.abs(large - alone[0]).mean()
+    views = (others, [background] * 3, [depth] * 3, masks, turned)
+    assert lights_of_views(network("gain"), *views) == [None] * 3
 
 
 def test_an_untrained_network_returns_the_composite() -> None:

@@ -29,6 +29,8 @@ from multilight.model.captures.request import Wish
 from multilight.model.cli import COMMANDS
 from multilight.model.configs.stage2d import NetworkConfig
 from multilight.model.configs.stage3d import SLIM3D
+from multilight.model.inference.depth import depth_from_metres
+from multilight.model.inference.harmonize import harmonize
 from multilight.model.inference.pictures import read_picture
 from multilight.model.networks.checkpoint import save_network
 from multilight.model.networks.compositing2d import Compositing2D
@@ -237,6 +239,29 @@ def test_all_views_are_harmonized_alike(capture: Capture, ball: Path) -> None:
     assert after < 0.7 * before
     assert len(result.gaussians) == 64 * 64
     assert np.isfinite(result.views).all()
+
+
+def test_all_views_have_one_set_of_lights(capture: Capture, ball: Path) -> None:
+    """A network that guesses lights, other ones in every view: under one set the views of a matt ball agree."""
+    asset = load_asset(str(ball))
+    inserted = insert_object(capture, PlacedObject(asset, placed(capture, asset, Wish())))
+    torch.manual_seed(0)
+    network = Compositing2D(NetworkConfig(head="light", **SMALL)).eval()
+    torch.nn.init.normal_(network.light.last.weight, std=0.5)
+    result = harmonize_capture(capture, inserted, network, side=64, report=silent)
+    assert result.views is result.single
+    alone = np.stack(
+        [
+            harmonize(network, composite, background, depth_from_metres(depth), mask=mask)
+            for composite, background, depth, mask in zip(
+                inserted.composites, capture.images, inserted.z_depths, inserted.coverage, strict=True
+            )
+        ]
+    )
+    inside = inserted.coverage == 1.0
+    apart, alike = (disagreement(capture, inserted.z_depths, views, inside) for views in (alone, result.views))
+    assert alike < 0.7 * apart
+    assert len(result.gaussians) == 64 * 64
 
 
 def test_an_untrained_network_changes_nothing(capture: Capture, ball: Path) -> None:

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from multilight.model.networks.light_head import CHANNELS, LightHead, Lights, apparent
+from multilight.model.networks.light_head import CHANNELS, LIGHTS, OF_LIGHT, OF_SET, LightHead, Lights, apparent
 from multilight.model.networks.shading import FOCAL, irradiance, normals, points, visibility
 from multilight.model.training.losses import seen_by_plain_lens
 
@@ -141,3 +141,23 @@ def test_a_light_that_is_found_is_worth_more_than_one_that_is_not() -> None:
     batch = type(batch)(**vars(batch) | {"K": plain, "light_towards": towards, "light_fraction": torch.ones(1, 3) / 3})
     guess = Lights(towards, torch.ones(1, 3, 3), torch.ones(1, 3), torch.ones(1, 3))
     assert light_loss(guess, batch) < light_loss(guess._replace(directions=-towards), batch) - 5
+
+
+def test_views_of_one_scene_agree_on_its_lights() -> None:
+    """Views that tell one world direction in their own axes keep it; where they differ, the mean counts."""
+    head = LightHead(known=2)
+    torch.manual_seed(0)
+    rotations = torch.linalg.qr(torch.randn(4, 3, 3))[0]
+    rotations = rotations * torch.linalg.det(rotations)[:, None, None]
+    world = functional.normalize(torch.randn(LIGHTS, 3), dim=1)
+    numbers = torch.randn(4, 2 * OF_SET + 9)
+    for start in (0, OF_SET):
+        lights = numbers[:, start : start + LIGHTS * OF_LIGHT].unflatten(1, (LIGHTS, OF_LIGHT))
+        lights[..., :3] = torch.einsum("vji,kj->vki", rotations, world) - head.base
+    agreed = head.of_one_scene(numbers, rotations)
+    for told in (numbers, agreed):
+        for start in (0, OF_SET):
+            towards = head._lights(told[:, start : start + OF_SET]).directions
+            torch.testing.assert_close(torch.einsum("vij,vkj->vki", rotations, towards), world.expand(4, -1, -1))
+    torch.testing.assert_close(agreed[:, -9:], numbers[:, -9:].mean(dim=0).expand(4, 9))
+    torch.testing.assert_close(agreed[:, 3:7], numbers[:, 3:7].mean(dim=0).expand(4, 4))
