@@ -168,7 +168,21 @@ def test_a_light_too_small_for_thumbnails_is_metered_in_the_picture() -> None:
 def noisy_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two small views by Cycles with few samples, denoised, the raw layers kept."""
     root = tmp_path_factory.mktemp("noisy") / "dataset"
-    size = ("--width", "96", "--height", "72", "--views", "2", "--spp", "16", "--seed", "5", "--keep-raw")
+    size = (
+        "--preset",
+        "smoke",
+        "--width",
+        "96",
+        "--height",
+        "72",
+        "--views",
+        "2",
+        "--spp",
+        "16",
+        "--seed",
+        "5",
+        "--keep-raw",
+    )
     assert main(["scene", "--out", str(root), "--renderer", "cycles", *size]) == 0
     return root
 
