@@ -17,10 +17,12 @@ from multilight.scenes.arrays import Float32, Float64
 Harmonizer = Callable[[Float32, Float32, Float32, Float32], Float32]
 """Composite and background (H, W, 3), display-encoded, depth and mask (H, W), all in [0, 1] → picture (H, W, 3)."""
 
+SEEN = 128
+"""Longest side in pixels at which a network that predicts gains looks at a picture, as in its training."""
+LIT = 128
+"""Longest side in pixels at which guessed lights shade and cast shadows."""
 WHOLE = 512
-"""Longest side in pixels that a network sees at once."""
-GUESSED = 256
-"""Longest side in pixels at which lights are guessed for several views."""
+"""Longest side in pixels of the tiles of other networks."""
 OVERLAP = 64
 """Pixels that neighbouring tiles share; across them, one fades into the other."""
 
@@ -43,8 +45,9 @@ def harmonize(
 ) -> Float32:
     """Harmonize a picture of any size: (H, W, 3) and (H, W) float32 → (H, W, 3) float32 in [0, 1].
 
-    Beyond `WHOLE` pixels, a network that predicts gains looks at the picture made smaller, and its gains, which are
-    smooth, are applied at full size; any other works tile by tile. `mask` (H, W), where given, replaces the one that
+    Beyond `SEEN` pixels, a network that predicts gains looks at the picture made smaller, its lights shade and cast
+    shadows on `LIT` pixels, and gains, which are smooth, are applied at full size; any other network works tile by tile
+    beyond `WHOLE` pixels. `mask` (H, W), where given, replaces the one that
     the network makes of the difference of composite and background; `numbers` (1, N), where given, are those of a guess
     of the lights that was made before. Raises `UserError` where memory runs out or the result is not finite.
     """
@@ -53,15 +56,15 @@ def harmonize(
     given = None if mask is None else _tensor(mask, device)
     pictures = list(network.shown(pictures[0], pictures[1], pictures[2], given))
     try:
-        if max(composite.shape[:2]) <= WHOLE:
+        gains = network.config.head in GAIN_HEADS
+        if max(composite.shape[:2]) <= (SEEN if gains else WHOLE):
             result = network(*pictures, given, numbers=numbers)
         else:
             # Of the whole picture: at a tile's border it would differ from its neighbour's.
             given = soft_mask(pictures[0], pictures[1]) if given is None else given
-            if network.config.head in GAIN_HEADS:
-                result = _from_reduced(network, pictures, given, numbers)
-            else:
-                result = _from_tiles(network, pictures, given)
+            result = (
+                _from_reduced(network, pictures, given, numbers) if gains else _from_tiles(network, pictures, given)
+            )
     except RuntimeError as error:
         if not isinstance(error, torch.OutOfMemoryError) and "allocate memory" not in str(error):
             raise
@@ -99,7 +102,7 @@ def lights_of_views(
     guesses = []
     for number in seen:
         views = (composites[number], backgrounds[number], depths[number], masks[number])
-        _, guess = network(*_reduced([_tensor(view, device) for view in views], GUESSED), told=True)
+        _, guess = network(*_reduced([_tensor(view, device) for view in views], SEEN), told=True)
         guesses.append(guess.numbers)
     turned = torch.from_numpy(np.asarray(rotations, np.float32)[seen]).to(device)
     agreed = network.light.of_one_scene(torch.cat(guesses), turned)
@@ -109,18 +112,27 @@ def lights_of_views(
 
 
 def _from_reduced(network: Compositing2D, pictures: list[Tensor], mask: Tensor, numbers: Tensor | None) -> Tensor:
-    composite, background, _ = pictures
-    small = _reduced([*pictures, mask], WHOLE)
-    maps, _ = network.predict(small[0], small[1], small[2], small[3], numbers)
+    composite, background, depth = pictures
+    small = _reduced([*pictures, mask], SEEN)
+    fine = None
+    if network.config.head == "light":
+        size = _size_within(depth, LIT)
+        fine = (interpolate(depth, size=size, mode="nearest-exact"), interpolate(mask, size=size, mode="area"))
+    maps, _ = network.predict(small[0], small[1], small[2], small[3], numbers=numbers, fine=fine)
     return apply_gains(maps, composite, background, mask).clamp(0.0, 1.0)
 
 
 def _reduced(pictures: Sequence[Tensor], longest: int) -> list[Tensor]:
     """Average pictures (1, C, H, W) of one size down to sides of at most `longest` pixels."""
-    height, width = pictures[0].shape[-2:]
-    scale = min(1.0, longest / max(height, width))
-    size = [max(1, round(length * scale)) for length in (height, width)]
+    size = _size_within(pictures[0], longest)
     return [interpolate(picture, size=size, mode="area") for picture in pictures]
+
+
+def _size_within(picture: Tensor, longest: int) -> tuple[int, int]:
+    """Return height and width of a picture (1, C, H, W) whose sides are made at most `longest` pixels."""
+    height, width = picture.shape[-2:]
+    scale = min(1.0, longest / max(height, width))
+    return max(1, round(height * scale)), max(1, round(width * scale))
 
 
 def _from_tiles(network: Compositing2D, pictures: list[Tensor], mask: Tensor) -> Tensor:

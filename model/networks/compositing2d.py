@@ -97,7 +97,7 @@ class Compositing2D(nn.Module):
         composite, background, depth = self.shown(composite, background, depth, mask)
         if mask is None:
             mask = soft_mask(composite, background)
-        maps, guess = self.predict(composite, background, depth, mask, numbers)
+        maps, guess = self.predict(composite, background, depth, mask, numbers=numbers)
         if self.config.head in GAIN_HEADS:
             image = apply_gains(maps, composite, background, mask)
         else:
@@ -121,9 +121,20 @@ class Compositing2D(nn.Module):
         return composite, background, depth
 
     def predict(
-        self, composite: Tensor, background: Tensor, depth: Tensor, mask: Tensor, numbers: Tensor | None = None
+        self,
+        composite: Tensor,
+        background: Tensor,
+        depth: Tensor,
+        mask: Tensor,
+        *,
+        numbers: Tensor | None = None,
+        fine: tuple[Tensor, Tensor] | None = None,
     ) -> tuple[Tensor, Guess | None]:
-        """Return what the head predicts, gain maps at `scale` or full-resolution (B, 3, H, W), and the guess."""
+        """Return what the head predicts, gain maps at `scale` or full-resolution (B, 3, H, W), and the guess.
+
+        `numbers`, where given, are those of a guess that was made before; on `fine`, depth and mask of more pixels
+        (B, 1, h, w), lights shade and cast shadows instead, and gain maps are of their size.
+        """
         h, w = composite.shape[-2:]
         cues = (mask, relief(depth)) if self.config.cues else ()
         x = torch.cat((composite, background, depth, *cues), dim=1)
@@ -137,13 +148,18 @@ class Compositing2D(nn.Module):
         maps, features = maps[..., :rows, :columns], features[..., :rows, :columns]
         seen, guess = statistics(composite, background, mask), None
         if self.config.head == "light":
-            small = [
-                functional.adaptive_avg_pool2d(srgb_to_linear(p), (rows, columns)) for p in (composite, background)
-            ]
             inside = functional.adaptive_avg_pool2d(mask, (rows, columns))
             near = functional.interpolate(depth, size=(rows, columns), mode="nearest-exact")
-            known = torch.cat((seen, deepest.mean((2, 3)), mean_inside(deepest, mask)), dim=1)
-            maps, guess = self.light(known.float(), maps.float(), *small, near, inside, numbers)
+            if numbers is None:
+                known = torch.cat((seen, deepest.mean((2, 3)), mean_inside(deepest, mask)), dim=1).float()
+                came, lit = (
+                    functional.adaptive_avg_pool2d(srgb_to_linear(p), (rows, columns)) for p in (composite, background)
+                )
+                numbers = self.light.numbers(known, came, lit, near, inside)
+            if fine is not None:
+                near, inside = fine
+                maps = functional.interpolate(maps, size=near.shape[-2:], mode="bilinear", align_corners=False)
+            maps, guess = self.light(numbers, maps.float(), near, inside)
         inner, outer = maps.chunk(2, dim=1)
         if self.config.head == "gain":
             inner = inner + self.overall(torch.cat((seen, mean_inside(features, mask)), dim=1))[..., None, None]

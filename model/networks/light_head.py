@@ -63,29 +63,26 @@ class LightHead(nn.Module):
         self.register_buffer("base", functional.normalize(torch.tensor(BASE_DIRECTIONS), dim=1), persistent=False)
         self.register_buffer("base_softness", torch.tensor(BASE_SOFTNESS), persistent=False)
 
-    def forward(
-        self,
-        known: Tensor,
-        maps: Tensor,
-        composite: Tensor,
-        background: Tensor,
-        depth: Tensor,
-        mask: Tensor,
-        numbers: Tensor | None = None,
-    ) -> tuple[Tensor, Guess]:
-        """Light: known (B, F), maps (B, 12 + 4, h, w), linear pictures (B, 3, h, w), depth and mask (B, 1, h, w).
+    def numbers(self, known: Tensor, composite: Tensor, background: Tensor, depth: Tensor, mask: Tensor) -> Tensor:
+        """Guess: known (B, F), linear pictures (B, 3, h, w), depth and mask (B, 1, h, w) → (B, N).
+
+        The numbers stand for both sets of lights, and for all else that is the same for the whole picture.
+        """
+        facing = normals(points(depth))
+        ground = (1.0 - mask) * (depth < 1.0)
+        known = torch.cat((known, apparent(composite, facing, mask), apparent(background, facing, ground)), dim=1)
+        return self.last(self.guess(known))
+
+    def forward(self, numbers: Tensor, maps: Tensor, depth: Tensor, mask: Tensor) -> tuple[Tensor, Guess]:
+        """Light: numbers (B, N), maps (B, 12 + 4, h, w), depth and mask (B, 1, h, w).
 
         Returns gain maps (B, 12, h, w) and what they follow from. Of the maps, the first twelve are log-gains and
-        offsets, of the object and of its surroundings, to which the lights' are added. `numbers`, where given, are
-        those of a guess that was made before.
+        offsets, of the object and of its surroundings, to which the lights' are added.
         """
         places = points(depth)
         facing = normals(places)
-        ground = (1.0 - mask) * (depth < 1.0)
-        known = torch.cat((known, apparent(composite, facing, mask), apparent(background, facing, ground)), dim=1)
-        told = self.last(self.guess(known)) if numbers is None else numbers
-        here, there = (self._lights(part) for part in told[:, : 2 * OF_SET].chunk(2, dim=1))
-        overall, strength = told[:, 2 * OF_SET : -3, None, None], told[:, -3:, None, None]
+        here, there = (self._lights(part) for part in numbers[:, : 2 * OF_SET].chunk(2, dim=1))
+        overall, strength = numbers[:, 2 * OF_SET : -3, None, None], numbers[:, -3:, None, None]
         inner, outer, fraction = maps.split((6, 6, CHANNELS), dim=1)
         lit, came = (irradiance(facing, s.directions, s.colours, s.ambient, None) for s in (here, there))
         seen = visibility(places, mask, here.directions, here.softness)
@@ -96,7 +93,7 @@ class LightHead(nn.Module):
         glow = logit.sigmoid()
         gain = (glow + (1.0 - glow) * (gain + (lit / came).log()).clamp(-4.0, 4.0).exp()).log()
         return torch.cat((gain, (1.0 - glow) * offset, outer[:, :3] + shadow, outer[:, 3:]), dim=1), Guess(
-            here, logit, told
+            here, logit, numbers
         )
 
     def of_one_scene(self, numbers: Tensor, rotations: Tensor) -> Tensor:

@@ -98,7 +98,8 @@ def test_what_is_withheld_reaches_no_output(head: str, blind: Input, place: int)
 
 def test_large_pictures_and_missing_masks_leak_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Beyond the size that a network sees at once, gains are applied by other code: it is blind as well."""
-    monkeypatch.setattr("multilight.model.inference.harmonize.WHOLE", 32)
+    for longest in ("WHOLE", "SEEN"):
+        monkeypatch.setattr(f"multilight.model.inference.harmonize.{longest}", 32)
     monkeypatch.setattr("multilight.model.inference.harmonize.OVERLAP", 8)
     composite, background, depth, mask = (p[0].permute(1, 2, 0).numpy() for p in pictures(0))
     for head in ("light", "gain", "residual"):

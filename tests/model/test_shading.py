@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from multilight.model.networks.light_head import CHANNELS, LIGHTS, OF_LIGHT, OF_SET, LightHead, Lights, apparent
+from multilight.model.networks.light_head import CHANNELS, LIGHTS, OF_LIGHT, OF_SET, Guess, LightHead, Lights, apparent
 from multilight.model.networks.shading import FOCAL, irradiance, normals, points, visibility
 from multilight.model.training.losses import seen_by_plain_lens
 
@@ -99,19 +99,24 @@ def test_brightness_leans_towards_the_light() -> None:
     torch.testing.assert_close(slopes[:, 0], slopes[:, 2])
 
 
+def lit(head: LightHead, known: Tensor, maps: Tensor, depth: Tensor, mask: Tensor) -> tuple[Tensor, Guess]:
+    found: tuple[Tensor, Guess] = head(head.numbers(known, PICTURE, PICTURE, depth, mask), maps, depth, mask)
+    return found
+
+
 def test_the_head_changes_nothing_before_it_has_learnt_and_its_gradients_are_finite() -> None:
     torch.manual_seed(0)
     head = LightHead(5)
     depth, mask = ball(32)
     known, maps = torch.randn(1, 5), torch.zeros(1, 12 + CHANNELS, 32, 32)
-    found, guess = head(known, maps, PICTURE, PICTURE, depth, mask)
+    found, guess = lit(head, known, maps, depth, mask)
     torch.testing.assert_close(found, torch.zeros_like(found), atol=1e-6, rtol=0.0)
     torch.testing.assert_close(guess.lights.directions.norm(dim=2), torch.ones(1, 3))
     torch.nn.init.normal_(head.last.weight, std=0.3)
     maps = torch.randn(1, 12 + CHANNELS, 32, 32, requires_grad=True)
     flat, nothing = torch.full_like(depth, 0.5), torch.zeros_like(mask)
     for where, what in ((depth, mask), (flat, mask), (depth, nothing), (torch.ones_like(depth), mask)):
-        found, guess = head(known, maps, PICTURE, PICTURE, where, what)
+        found, guess = lit(head, known, maps, where, what)
         head.zero_grad()
         (found.square().sum() + guess.lights.softness.sum()).backward()
         assert torch.isfinite(found).all()
@@ -127,7 +132,7 @@ def test_a_glowing_object_keeps_its_glow() -> None:
     depth, mask = ball(32)
     maps = torch.zeros(1, 12 + CHANNELS, 32, 32)
     maps[:, 15] = 20.0
-    found, _ = head(torch.randn(1, 5), maps, PICTURE, PICTURE, depth, mask)
+    found, _ = lit(head, torch.randn(1, 5), maps, depth, mask)
     torch.testing.assert_close(found[:, :6], torch.zeros(1, 6, 32, 32), atol=1e-4, rtol=0.0)
 
 
