@@ -18,7 +18,8 @@ Harmonizer = Callable[[Float32, Float32, Float32, Float32], Float32]
 """Composite and background (H, W, 3), display-encoded, depth and mask (H, W), all in [0, 1] → picture (H, W, 3)."""
 
 SEEN = 128
-"""Longest side in pixels at which a network that predicts gains looks at a picture, as in its training."""
+"""Longest side in pixels at which a network that predicts gains looks at a picture: that which the ready-made
+weights are best at, whatever the sizes of a training."""
 LIT = 128
 """Longest side in pixels at which guessed lights shade and cast shadows."""
 WHOLE = 512
@@ -47,9 +48,9 @@ def harmonize(
 
     Beyond `SEEN` pixels, a network that predicts gains looks at the picture made smaller, its lights shade and cast
     shadows on `LIT` pixels, and gains, which are smooth, are applied at full size; any other network works tile by tile
-    beyond `WHOLE` pixels. `mask` (H, W), where given, replaces the one that
-    the network makes of the difference of composite and background; `numbers` (1, N), where given, are those of a guess
-    of the lights that was made before. Raises `UserError` where memory runs out or the result is not finite.
+    beyond `WHOLE` pixels. `mask` (H, W), where given, replaces the one that the network makes of the difference of
+    composite and background; `numbers` (1, N), where given, are those of a guess of the lights that was made before.
+    Raises `UserError` where memory runs out or the result is not finite.
     """
     device = next(network.parameters()).device
     pictures = [_tensor(p, device) for p in (composite, background, depth)]
