@@ -5,6 +5,7 @@ make dataset    sets up, fetches assets, renders a small dataset, verifies it, m
 make test       sets up and runs every test, several files at once
 make quick      in a minute and a half, what a change of pure code needs
 make train      renders or reuses a training set, trains the slim 2D model for 15 minutes, and evaluates it
+make figures    renders or reuses a set that nothing learnt from, and evaluates the ready-made model on it (an hour)
 make docs       the documents as a site, in out/site, with a light mixer of two small scenes
 make check      format, lints, types, who imports what
 make format     puts format and imports right
@@ -37,7 +38,7 @@ QUICK := tests/lights tests/scenes/files tests/datagen/test_compose.py tests/dat
 	tests/datagen/test_text.py tests/model/test_losses.py tests/model/test_metrics.py tests/test_boundaries.py tests/test_documents.py
 AS_ROOT := $(filter 0,$(shell id -u))
 
-.PHONY: help dataset assets test quick train docs check format web chromium clean system-libraries
+.PHONY: help dataset assets test quick train figures docs check format web chromium clean system-libraries
 .DEFAULT_GOAL := help
 unexport PYTHONDONTWRITEBYTECODE  # tests and workers start hundreds of processes
 
@@ -67,6 +68,13 @@ train: .venv/installed-train assets
 	$(MULTILIGHT) pack out/training --out out/training-packed
 	$(MULTILIGHT) train slim --data out/training-packed --out out/slim
 	$(MULTILIGHT) evaluate out/training-packed --size 192 --weights out/slim/model.safetensors --out out/slim/evaluation
+
+figures: .venv/installed-train assets
+	$(MULTILIGHT) dataset --preset held_out --out out/held-out
+	$(MULTILIGHT) pack out/held-out --out out/held-out-packed
+	for lighting in stored random wild; do \
+		$(MULTILIGHT) evaluate out/held-out-packed --groups 60 --size 192 --lighting $$lighting --variants --out out/figures/$$lighting || exit 1; \
+	done
 
 docs: .venv/installed-dev assets
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet

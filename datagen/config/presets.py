@@ -3,7 +3,9 @@
 from dataclasses import dataclass
 from typing import Any, Literal
 
-Preset = Literal["tabletop", "room", "outdoor", "studio", "mixed", "wild", "demo", "training", "volume", "smoke"]
+Preset = Literal[
+    "tabletop", "room", "outdoor", "studio", "mixed", "wild", "demo", "training", "volume", "held_out", "smoke"
+]
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,19 @@ PRESETS: dict[Preset, PresetValues] = {
             "height": 128,
             "kind": "mixed",
             "splits": {"train": 0.85, "val": 0.03, "test": 0.06, "test_ood": 0.06},
+            "cameras": {"depth_of_field": 0.15},
+        },
+    ),
+    "held_out": PresetValues(
+        "what weights are measured on: scenes drawn as those of `volume`, of assets and places that it holds back",
+        {
+            "seed": 31415,
+            "scenes": 160,
+            "views": 1,
+            "width": 192,
+            "height": 192,
+            "kind": "mixed",
+            "splits": {"train": 0.0, "val": 0.0, "test": 0.5, "test_ood": 0.5},
             "cameras": {"depth_of_field": 0.15},
         },
     ),

@@ -59,7 +59,9 @@ def weights_config(path: Path, kind: type[Network]) -> Network:
         stage = "3D" if "layout" in values else "2D"
         if stage != wanted:
             raise UserError(f"weights {path} are of the {stage} stage, those of the {wanted} stage are asked for")
-        return kind.from_json(header["network"])
+        if stage == "2D":
+            values = {"body": "attention"} | values  # files from before there was another do not say
+        return kind.model_validate(values)
     except (SafetensorError, OSError, ValidationError, ValueError, TypeError) as error:
         raise UserError(f"weights {path} cannot be read: {str(error).splitlines()[0]}") from None
 

@@ -17,9 +17,6 @@ from multilight.scenes.arrays import Float32, Float64
 Harmonizer = Callable[[Float32, Float32, Float32, Float32], Float32]
 """Composite and background (H, W, 3), display-encoded, depth and mask (H, W), all in [0, 1] → picture (H, W, 3)."""
 
-SEEN = 128
-"""Longest side in pixels at which a network that predicts gains looks at a picture: that which the ready-made
-weights are best at, whatever the sizes of a training."""
 LIT = 128
 """Longest side in pixels at which guessed lights shade and cast shadows."""
 WHOLE = 512
@@ -46,9 +43,9 @@ def harmonize(
 ) -> Float32:
     """Harmonize a picture of any size: (H, W, 3) and (H, W) float32 → (H, W, 3) float32 in [0, 1].
 
-    Beyond `SEEN` pixels, a network that predicts gains looks at the picture made smaller, its lights shade and cast
-    shadows on `LIT` pixels, and gains, which are smooth, are applied at full size; any other network works tile by tile
-    beyond `WHOLE` pixels. `mask` (H, W), where given, replaces the one that the network makes of the difference of
+    Beyond `network.size` pixels, a network that predicts gains looks at the picture made smaller, its lights shade and
+    cast shadows on `LIT` pixels, and gains, which are smooth, are applied at full size; any other network works tile by
+    tile beyond `WHOLE` pixels. `mask` (H, W), where given, replaces the one that the network makes of the difference of
     composite and background; `numbers` (1, N), where given, are those of a guess of the lights that was made before.
     Raises `UserError` where memory runs out or the result is not finite.
     """
@@ -58,7 +55,7 @@ def harmonize(
     pictures = list(network.shown(pictures[0], pictures[1], pictures[2], given))
     try:
         gains = network.config.head in GAIN_HEADS
-        if max(composite.shape[:2]) <= (SEEN if gains else WHOLE):
+        if max(composite.shape[:2]) <= (network.size if gains else WHOLE):
             result = network(*pictures, given, numbers=numbers)
         else:
             # Of the whole picture: at a tile's border it would differ from its neighbour's.
@@ -103,7 +100,7 @@ def lights_of_views(
     guesses = []
     for number in seen:
         views = (composites[number], backgrounds[number], depths[number], masks[number])
-        _, guess = network(*_reduced([_tensor(view, device) for view in views], SEEN), told=True)
+        _, guess = network(*_reduced([_tensor(view, device) for view in views], network.size), told=True)
         guesses.append(guess.numbers)
     turned = torch.from_numpy(np.asarray(rotations, np.float32)[seen]).to(device)
     agreed = network.light.of_one_scene(torch.cat(guesses), turned)
@@ -114,7 +111,7 @@ def lights_of_views(
 
 def _from_reduced(network: Compositing2D, pictures: list[Tensor], mask: Tensor, numbers: Tensor | None) -> Tensor:
     composite, background, depth = pictures
-    small = _reduced([*pictures, mask], SEEN)
+    small = _reduced([*pictures, mask], network.size)
     fine = None
     if network.config.head == "light":
         size = _size_within(depth, LIT)

@@ -116,17 +116,23 @@ def save_network(path: Path, network: nn.Module, config: NetworkConfig, about: M
 
 def load_network(path: Path) -> Compositing2D:
     """Read finished weights of the 2D stage, a file or ready-made ones by name; raises `UserError` naming the fault."""
-    return _loaded(path, weights_config(path, NetworkConfig), Compositing2D)
+    network, about = _loaded(path, weights_config(path, NetworkConfig), Compositing2D)
+    if "size" in about:
+        if not re.fullmatch("[1-9][0-9]{1,4}", about["size"]):
+            raise UserError(f"weights {path} cannot be read: size in their header is {about['size']}, not pixels")
+        network.size = int(about["size"])
+    return network
 
 
 def load_network3d(path: Path) -> SceneNetwork:
     """Read finished weights of the 3D stage; raises `UserError` naming the file and what is wrong with it."""
-    return _loaded(path, weights_config(path, SceneNetworkConfig), scene_network)
+    return _loaded(path, weights_config(path, SceneNetworkConfig), scene_network)[0]
 
 
-def _loaded(path: Path, config: Config, made: Callable[[Config], Network]) -> Network:
+def _loaded(path: Path, config: Config, made: Callable[[Config], Network]) -> tuple[Network, dict[str, str]]:
+    """Return the network and what its header says."""
     try:
-        tensors, _ = _read_tensors(weights_file(path))
+        tensors, about = _read_tensors(weights_file(path))
         # Before the network is made, whose size the header decides.
         with torch.device("meta"):
             described = sum(value.numel() for value in made(config).state_dict().values())
@@ -136,7 +142,7 @@ def _loaded(path: Path, config: Config, made: Callable[[Config], Network]) -> Ne
         network.load_state_dict(tensors)
     except (OSError, ValueError, RuntimeError) as error:
         raise UserError(f"weights {path} cannot be read: {str(error).splitlines()[0]}") from None
-    return network.eval()
+    return network.eval(), about
 
 
 def _write_tensors(path: Path, tensors: Tensors, header: dict[str, str]) -> None:

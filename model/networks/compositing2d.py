@@ -54,6 +54,9 @@ def statistics(composite: Tensor, background: Tensor, mask: Tensor) -> Tensor:
 class Compositing2D(nn.Module):
     """Composite, background and depth to the harmonized picture, at any size."""
 
+    size = 128
+    """Longest side in pixels at which it looks at pictures in use: that at which its training ended."""
+
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__()
         self.config = config

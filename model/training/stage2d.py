@@ -77,6 +77,9 @@ class Trainer2D(Trainer[Batch]):
         image = self.average(sample.composite, sample.background, sample.depth, sample.mask)
         return {"composite": sample.composite, "network": image}
 
+    def _about(self, found: dict[str, float]) -> dict[str, str]:
+        return super()._about(found) | {"size": str(self.config.stages[-1].size)}
+
 
 @contextlib.contextmanager
 def processes(config: TrainingConfig) -> Iterator[tuple[Process, torch.device]]:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import save_file
 
 from multilight.datagen.config.loading import joined
 from multilight.datagen.errors import UserError
@@ -38,6 +39,7 @@ from multilight.model.inference.harmonize import harmonize
 from multilight.model.networks.checkpoint import (
     Progress,
     load_checkpoint,
+    load_network,
     load_network3d,
     newest_checkpoint,
     save_checkpoint,
@@ -98,8 +100,8 @@ def test_what_is_withheld_reaches_no_output(head: str, blind: Input, place: int)
 
 def test_large_pictures_and_missing_masks_leak_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Beyond the size that a network sees at once, gains are applied by other code: it is blind as well."""
-    for longest in ("WHOLE", "SEEN"):
-        monkeypatch.setattr(f"multilight.model.inference.harmonize.{longest}", 32)
+    monkeypatch.setattr("multilight.model.inference.harmonize.WHOLE", 32)
+    monkeypatch.setattr(Compositing2D, "size", 32)
     monkeypatch.setattr("multilight.model.inference.harmonize.OVERLAP", 8)
     composite, background, depth, mask = (p[0].permute(1, 2, 0).numpy() for p in pictures(0))
     for head in ("light", "gain", "residual"):
@@ -138,6 +140,19 @@ def test_older_weights_and_checkpoints_still_load(tmp_path: Path) -> None:
     del record["config"]["network"]["blind"]
     path.write_text(json.dumps(record))
     assert load_checkpoint(path, config, **parts) == Progress(3, 1.0)
+    said = {k: v for k, v in config.network.model_dump(mode="json").items() if k != "body"}
+    tensors = {name: tensor.contiguous() for name, tensor in network.state_dict().items()}
+    for size, fault in (("96", ""), ("0", "size in their header is 0"), ("1e9", "size in their header is 1e9")):
+        save_file(tensors, tmp_path / "w.safetensors", {"network": json.dumps(said), "size": size})
+        if fault:
+            with pytest.raises(UserError, match=fault):
+                load_network(tmp_path / "w.safetensors")
+            continue
+        loaded = load_network(tmp_path / "w.safetensors")
+        assert loaded.config == config.network, "there was but one body"
+        assert loaded.size == 96
+    save_network(tmp_path / "w.safetensors", network, config.network, {})
+    assert load_network(tmp_path / "w.safetensors").size == 128
 
 
 def test_transformer_has_as_many_parameters_as_the_map_network() -> None:

@@ -82,7 +82,7 @@ def test_lights_are_guessed_once_for_all_views(monkeypatch: pytest.MonkeyPatch) 
     np.testing.assert_allclose(
         harmonize(made, composite, background, depth, mask=mask, numbers=own), alone[0], atol=1e-5
     )
-    monkeypatch.setattr("multilight.model.inference.harmonize.SEEN", 40)
+    monkeypatch.setattr(Compositing2D, "size", 40)
     large = harmonize(made, composite, background, depth, mask=mask, numbers=first)
     assert np.abs(large - alike[0]).mean() < 0.5 * np.abs(large - alone[0]).mean()
     views = (others, [background] * 3, [depth] * 3, masks, turned)
@@ -101,8 +101,8 @@ def test_large_pictures_are_close_to_small_ones(head: str, monkeypatch: pytest.M
     composite, background, mask, depth = pictures(96, 128)
     made = network(head)
     whole = harmonize(made, composite, background, depth, mask=mask)
-    for longest in ("WHOLE", "SEEN"):
-        monkeypatch.setattr(f"multilight.model.inference.harmonize.{longest}", 64)
+    monkeypatch.setattr("multilight.model.inference.harmonize.WHOLE", 64)
+    monkeypatch.setattr(Compositing2D, "size", 64)
     monkeypatch.setattr("multilight.model.inference.harmonize.OVERLAP", 16)
     parts = harmonize(made, composite, background, depth, mask=mask)
     assert parts.shape == whole.shape

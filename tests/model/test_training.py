@@ -114,6 +114,7 @@ def test_finished_weights_load_and_say_what_they_are(spheres_dataset: Path, tmp_
         header = file.metadata()
     assert header["perceptual_loss"] == "gradient+ssim"
     assert json.loads(header["config"])["data"]["seed"] == 0
+    assert network.size == chosen.stages[-1].size != Compositing2D.size, "it looks at pictures as it did in training"
     assert list((tmp_path / "run" / "samples").glob("*.png"))
     assert list((tmp_path / "run" / "tensorboard").iterdir())
     (tmp_path / "cut.safetensors").write_bytes((tmp_path / "run" / "model.safetensors").read_bytes()[:5000])
