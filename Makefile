@@ -72,9 +72,9 @@ train: .venv/installed-train assets
 figures: .venv/installed-train assets
 	$(MULTILIGHT) dataset --preset held_out --out out/held-out
 	$(MULTILIGHT) pack out/held-out --out out/held-out-packed
-	for lighting in stored random wild; do \
-		$(MULTILIGHT) evaluate out/held-out-packed --groups 60 --size 192 --lighting $$lighting --variants --out out/figures/$$lighting || exit 1; \
-	done
+	$(MULTILIGHT) evaluate out/held-out-packed --groups 60 --size 192 --lighting stored --variants --out out/figures/stored
+	$(MULTILIGHT) evaluate out/held-out-packed --groups 60 --size 192 --lighting random --out out/figures/random
+	$(MULTILIGHT) evaluate out/held-out-packed --groups 60 --size 192 --lighting wild --out out/figures/wild
 
 docs: .venv/installed-dev assets
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet

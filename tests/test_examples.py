@@ -116,7 +116,7 @@ def test_train_on_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
 def test_harmonize_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with made_with(**SPHERES, scenes=2):
         example("harmonize_it")(tmp_path)
-    assert picture(tmp_path / "harmonize_it.jpg").shape == (2 * 48, 4 * 64, 3)
+    assert picture(tmp_path / "harmonize_it.jpg").shape == (2 * 192, 4 * 192, 3)
     assert capsys.readouterr().out.count(" dB\n") == 2
 
 

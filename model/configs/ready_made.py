@@ -17,7 +17,7 @@ from multilight.model.configs.stage3d import SceneNetworkConfig
 from multilight.scenes.files.limits import parse_json
 
 Network = TypeVar("Network", NetworkConfig, SceneNetworkConfig)
-CONFIGS = {name: Path(__file__).with_name(f"{name}.toml") for name in ("slim", "slim3d", "paper")}
+CONFIGS = {name: Path(__file__).with_name(f"{name}.toml") for name in ("slim", "long", "slim3d", "paper")}
 """Trainings by name."""
 WEIGHTS = {path.stem: path for path in sorted((Path(__file__).parents[1] / "weights").glob("*.safetensors"))}
 """Finished weights of the 2D stage by name."""

@@ -19,8 +19,8 @@ Positive = Annotated[float, Field(gt=0)]
 class NetworkConfig(Settings):
     """The shape of the 2D network; `slim` and `paper` in `NETWORKS` are the two that are used."""
 
-    body: Literal["attention", "pyramid"] = "attention"
-    """What reads the picture: attention in windows, as set out below, or a convolutional pyramid of fixed shape."""
+    body: Literal["pyramid", "attention"] = "pyramid"
+    """What reads the picture: a convolutional pyramid of fixed shape, or attention in windows, as set out below."""
     stride: Literal[1, 2, 4, 8] = 8
     """Pixels a side of a token; 1 is attention at full resolution."""
     width: Annotated[int, Field(ge=8, le=1024)] = 96
@@ -35,7 +35,7 @@ class NetworkConfig(Settings):
     """Tokens a side of a window."""
     pooled: Annotated[int, Field(ge=0, le=16)] = 4
     """Tokens a side of the whole picture's summary that every window attends to besides; 0: none."""
-    head: Head = "gain"
+    head: Head = "light"
     """What is predicted: lights that shade and cast shadows, with gains and offsets in linear light; these alone; a
     residual, or the picture itself."""
     cues: bool = True
@@ -53,7 +53,7 @@ class NetworkConfig(Settings):
 NETWORKS: dict[str, NetworkConfig] = {
     "slim": NetworkConfig(),
     "paper": NetworkConfig(
-        stride=1, width=96, groups=3, blocks=6, heads=6, window=8, pooled=0, head="direct", cues=False
+        body="attention", stride=1, width=96, groups=3, blocks=6, heads=6, window=8, pooled=0, head="direct", cues=False
     ),
 }
 """The presets: ours, and the published network (Lyu et al. 2025, 2D stage), the yardstick."""
@@ -99,7 +99,7 @@ class LossConfig(Settings):
     """Weight of how far guessed lights are from the true ones, of a head that guesses them."""
     glow: Annotated[float, Field(ge=0, le=1)] = 0.05
     """Weight of how wrong the same head is about where the object itself glows."""
-    far: Positive = 10.0
+    far: Positive = 3.0
     """Of `log`: weight of the mean error elsewhere, against 1 of that on the object, and on its effect."""
 
 

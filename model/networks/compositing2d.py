@@ -26,6 +26,7 @@ NEAR = 15  # of them: the object's neighbourhood is what a square of that side r
 DARK = 0.02  # linear light added before logarithms are taken
 STATISTICS = 25
 LEAST_LOG_GAIN, LEAST_OFFSET = 0.02, 0.002  # outside the object, less is no shadow or glow, but uncertainty
+LEAST_WEIGHT = 1e-3  # of a cell that holds nothing of what its maps are of
 GAIN_HEADS = ("light", "gain")
 GAIN_CHANNELS = 12  # log-gain and offset in RGB, for the object and for its surroundings
 
@@ -190,10 +191,28 @@ def apply_gains(maps: Tensor, composite: Tensor, background: Tensor, mask: Tenso
     The composite is foreground + (1 - mask) * background ("over", Porter and Duff 1984); each part, in linear light,
     gets its own gain and offset, and they are put together again: outlines stay as sharp as the mask.
     """
-    maps = functional.interpolate(maps, size=composite.shape[-2:], mode="bilinear", align_corners=False)
-    log_inside, add_inside, log_outside, add_outside = maps.chunk(4, dim=1)
+    rows, columns = maps.shape[-2:]
+    inside = functional.adaptive_avg_pool2d(mask, (rows, columns))
+    log_inside, add_inside, log_outside, add_outside = (
+        part
+        for half, share in zip(maps.chunk(2, dim=1), (inside, 1.0 - inside), strict=True)
+        for part in enlarged(half, share, composite.shape[-2:]).chunk(2, dim=1)
+    )
     gain_inside, gain_outside = (g.clamp(-LARGEST_LOG_GAIN, LARGEST_LOG_GAIN).exp() for g in (log_inside, log_outside))
     surroundings = (1.0 - mask) * srgb_to_linear(background)
     foreground = srgb_to_linear(composite) - surroundings
     lit = gain_inside * foreground + mask * add_inside + gain_outside * surroundings + (1.0 - mask) * add_outside
     return linear_to_srgb(lit)
+
+
+def enlarged(maps: Tensor, share: Tensor, size: torch.Size) -> Tensor:
+    """Enlarge maps (B, C, h, w) of what has a `share` (B, 1, h, w) of each cell to `size`, by its own cells' values.
+
+    What the maps hold beyond an outline counts the less, the smaller its share there: no light rim is left between an
+    object and its shadow.
+    """
+    weight = share.square() + LEAST_WEIGHT
+    maps, weight = (
+        functional.interpolate(x, size=size, mode="bilinear", align_corners=False) for x in (maps * weight, weight)
+    )
+    return maps / weight

@@ -1,5 +1,7 @@
 """The 2D network: shapes, identity before training, its mask and gains in closed form, attention against a slow one."""
 
+import math
+
 import pytest
 import torch
 from torch import Tensor
@@ -115,6 +117,20 @@ def test_gains_on_a_half_covered_pixel_relight_its_half() -> None:
     maps[:, :3] = torch.tensor(2.0).log()
     image = srgb_to_linear(apply_gains(maps, composite, background, torch.full((1, 1, 4, 4), 0.5)))
     assert torch.allclose(image, (0.5 * 2 * red + 0.5 * blue).expand(1, 3, 4, 4), atol=1e-5)
+
+
+def test_a_shadow_reaches_the_object_and_none_of_it_the_other() -> None:
+    """Maps that are told for the surroundings alone, and for the object alone, hold up to its very outline."""
+    background = torch.full((1, 3, 32, 32), 0.5)
+    mask = torch.zeros(1, 1, 32, 32)
+    mask[..., 8:24, 8:24] = 1.0
+    composite = torch.where(mask > 0, 0.25, background)
+    cells = functional.adaptive_avg_pool2d(mask, (8, 8))
+    maps = torch.zeros(1, 12, 8, 8)
+    maps[:, :3] = cells * math.log(2.0)
+    maps[:, 6:9] = (1.0 - cells) * math.log(0.5)
+    found = srgb_to_linear(apply_gains(maps, composite, background, mask)) / srgb_to_linear(composite)
+    torch.testing.assert_close(found, torch.where(mask > 0, 2.0, 0.5).expand_as(found), rtol=0.02, atol=0.0)
 
 
 def test_gradients_of_the_gains_are_those_of_finite_differences() -> None:

@@ -136,7 +136,7 @@ def test_learning_on_begins_with_finished_weights(
         train(config(spheres_dataset, tmp_path / "wider", network=TINY | {"width": 32}, start=begun))
     words = ["train", "slim", "--data", str(spheres_dataset), "--out", str(tmp_path / "no"), "--start", str(begun)]
     assert main(words, COMMANDS) == 1
-    assert "first/model.safetensors' has network.width = 16, not" in capsys.readouterr().err
+    assert "first/model.safetensors' has network.body = 'attention', not" in capsys.readouterr().err
     assert not (tmp_path / "no" / "checkpoints").exists()
 
 
@@ -375,7 +375,7 @@ def test_ready_made_configurations_go_by_name_and_are_shown(
 
 
 def test_ready_made_configurations_are_valid() -> None:
-    for path in (ROOT / "model" / "configs" / f"{name}.toml" for name in NETWORKS):
+    for path in (ROOT / "model" / "configs" / f"{name}.toml" for name in (*NETWORKS, "long")):
         made = validated(read_values(path), TrainingConfig, path, {"data.train": "elsewhere", "minutes": None})
         assert made.data.train == "elsewhere"
     assert "stages.size" in list(keys_of(TrainingConfig))
