@@ -23,6 +23,23 @@ _MIXED: dict[str, Any] = {
     "splits": {"train": 0.75, "val": 0.08, "test": 0.09, "test_ood": 0.08},
     "cameras": {"depth_of_field": 0.15},
 }
+_VOLUME: dict[str, Any] = {
+    "seed": 2027,
+    "scenes": 2400,
+    "views": 1,
+    "width": 128,
+    "height": 128,
+    "kind": "mixed",
+    "splits": {"train": 0.85, "val": 0.03, "test": 0.06, "test_ood": 0.06},
+    "cameras": {"depth_of_field": 0.15},
+}
+_HELD_OUT: dict[str, Any] = {
+    "seed": 31415,
+    "scenes": 160,
+    "width": 192,
+    "height": 192,
+    "splits": {"train": 0.0, "val": 0.0, "test": 0.5, "test_ood": 0.5},
+}
 PRESETS: dict[Preset, PresetValues] = {
     "tabletop": PresetValues("still lifes on tables", {"kind": "tabletop"}),
     "room": PresetValues("furnished rooms", {"kind": "room", "lights": (2, 8), "cameras": {"lens_mm": (24.0, 50.0)}}),
@@ -52,30 +69,11 @@ PRESETS: dict[Preset, PresetValues] = {
         _MIXED | {"seed": 2026, "scenes": 60, "views": 3, "width": 192, "height": 192},
     ),
     "volume": PresetValues(
-        "what the bundled weights learn from: 2,400 scenes of all kinds, one view each; several core-hours",
-        {
-            "seed": 2027,
-            "scenes": 2400,
-            "views": 1,
-            "width": 128,
-            "height": 128,
-            "kind": "mixed",
-            "splits": {"train": 0.85, "val": 0.03, "test": 0.06, "test_ood": 0.06},
-            "cameras": {"depth_of_field": 0.15},
-        },
+        "what the bundled weights learn from: 2,400 scenes of all kinds, one view each; several core-hours", _VOLUME
     ),
     "held_out": PresetValues(
         "what weights are measured on: scenes drawn as those of `volume`, of assets and places that it holds back",
-        {
-            "seed": 31415,
-            "scenes": 160,
-            "views": 1,
-            "width": 192,
-            "height": 192,
-            "kind": "mixed",
-            "splits": {"train": 0.0, "val": 0.0, "test": 0.5, "test_ood": 0.5},
-            "cameras": {"depth_of_field": 0.15},
-        },
+        _VOLUME | _HELD_OUT,
     ),
     "smoke": PresetValues(
         "the smallest dataset that shows everything works: a minute or two",
