@@ -147,6 +147,8 @@ class TrainingConfig(Settings):
     """Largest norm of the gradient."""
     ema: Annotated[float, Field(ge=0, lt=1)] = 0.998
     """Decay of the average of the weights that is validated and kept."""
+    shadows: Positive = 1.0
+    """Factor on the shadows that a head of lights casts, in the finished weights: in doubt it learns too faint ones."""
     precision: Literal["auto", "fp32", "bf16"] = "auto"
     """Arithmetic of the network; `auto`: bf16 on CUDA devices that have it, else fp32."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
@@ -176,6 +178,8 @@ class TrainingConfig(Settings):
     def _lengths_hold(self) -> "TrainingConfig":
         if (self.steps is None) == (self.minutes is None):
             raise ValueError("say either steps or minutes")
+        if self.shadows != 1.0 and getattr(self.network, "head", None) != "light":
+            raise ValueError(f"shadows = {self.shadows:g}: only a network with head = 'light' casts any; leave it at 1")
         ends = [stage.until for stage in self.stages]
         if ends != sorted(ends) or ends[-1] != 1.0 or ends[0] <= 0:
             raise ValueError(f"stages must end in ascending order, the last at 1; got until = {ends}")

@@ -1,6 +1,7 @@
 """The training of the 2D stage: one process or many (torchrun)."""
 
 import contextlib
+import copy
 import os
 from collections.abc import Iterator
 from typing import Any
@@ -76,6 +77,12 @@ class Trainer2D(Trainer[Batch]):
     def _images(self, sample: Batch) -> Images:
         image = self.average(sample.composite, sample.background, sample.depth, sample.mask)
         return {"composite": sample.composite, "network": image}
+
+    def _finished(self) -> nn.Module:
+        finished = copy.deepcopy(self.average)
+        if isinstance(finished, Compositing2D) and self.config.network.head == "light":
+            finished.light.strengthen(self.config.shadows)
+        return finished
 
     def _about(self, found: dict[str, float]) -> dict[str, str]:
         return super()._about(found) | {"size": str(self.config.stages[-1].size)}

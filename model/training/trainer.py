@@ -115,7 +115,7 @@ class Trainer(ABC, Generic[Sample]):
         finally:
             log.close()
         if self.process.rank == 0:
-            save_network(self.config.out / FINISHED, self.average, self.config.network, self._about(found))
+            save_network(self.config.out / FINISHED, self._finished(), self.config.network, self._about(found))
             log.line(
                 f"{self.config.out / FINISHED}: {size((self.config.out / FINISHED).stat().st_size)}, "
                 f"{self.progress.step} steps in {duration(self.progress.seconds)}, {_in_words(found)}"
@@ -201,6 +201,10 @@ class Trainer(ABC, Generic[Sample]):
                 psnr = regional_psnr(image, sample.target, sample.mask, sample.effect)
                 found.setdefault(name, []).append(psnr)
         return {name: float(torch.cat(values).mean()) for name, values in found.items()}
+
+    def _finished(self) -> nn.Module:
+        """Return the network whose weights are written at the end."""
+        return self.average
 
     def _about(self, found: dict[str, float]) -> dict[str, str]:
         """Return what the weights say about themselves."""

@@ -122,6 +122,20 @@ def test_finished_weights_load_and_say_what_they_are(spheres_dataset: Path, tmp_
         load_network(tmp_path / "cut.safetensors")
 
 
+def test_shadows_of_finished_weights_are_as_strong_as_told(spheres_dataset: Path, tmp_path: Path) -> None:
+    chosen = config(spheres_dataset, tmp_path, steps=2, network=TINY | {"head": "light"}, shadows=1.5)
+    train(chosen)
+    path = newest_checkpoint(tmp_path / "checkpoints")
+    assert path is not None
+    learnt, finished = (load_file(file) for file in (path.with_suffix(".safetensors"), tmp_path / "model.safetensors"))
+    for name, tensor in finished.items():
+        expected = learnt[f"ema.{name}"].clone()
+        if name.startswith("light.last."):
+            assert expected[-3:].abs().max() > 0
+            expected[-3:] *= 1.5
+        torch.testing.assert_close(tensor, expected, rtol=0, atol=0, msg=name)
+
+
 def test_learning_on_begins_with_finished_weights(
     spheres_dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -346,6 +360,7 @@ def test_average_follows_and_decay_spares_biases() -> None:
         ("stages = [{sise = 3}]", "unknown key 'stages.sise'; did you mean 'stages.size'"),
         ("learning_rate = -1.0", "learning_rate = -1.0: Input should be greater than 0"),
         ("network = 'slin'", "network preset 'slin': there are slim, paper"),
+        ("shadows = 2.0\nnetwork = 'paper'", "shadows = 2: only a network with head = 'light' casts any"),
         ("minutes = 3.0", "say either steps or minutes"),
         ("stages = [{until = 0.5}]", "stages must end in ascending order"),
         ("= 3", "cannot be read as TOML"),
