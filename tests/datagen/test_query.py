@@ -54,6 +54,12 @@ def test_bad_expressions_are_quoted_with_the_columns(where: str) -> None:
     assert "\n" not in str(caught.value)
 
 
+def test_long_lists_of_numbers_are_understood_and_long_expressions_refused() -> None:
+    assert select(ROWS, f"index IN ({', '.join(map(str, range(2, 10_000)))})")["index"].to_list() == [2]
+    with pytest.raises(UserError, match=r"at most 4000 characters, lists of numbers aside"):
+        select(ROWS, " or ".join(["index = 1"] * 1000))
+
+
 def test_help_examples_are_understood() -> None:
     from multilight.datagen.commands.query import Query
 
