@@ -107,8 +107,8 @@ def address(spheres_dataset: Path) -> Iterator[str]:
 
 @contextlib.contextmanager
 def mixer(browser: Any, address: str, *, script: str = "", broken: bool = False, **options: Any) -> Iterator[Mixer]:
-    """Open a page of its own; it may complain of nothing, or only where something is `broken`."""
-    context = browser.new_context(**options)
+    """Open a page of its own, whose styles change at once; it may complain only where something is `broken`."""
+    context = browser.new_context(reduced_motion="reduce", **options)
     if script:
         context.add_init_script(script)
     page = context.new_page()
@@ -498,7 +498,7 @@ def test_twelve_lights(browser: Any, sphere_view: tuple[SceneRecord, ViewData], 
 )
 def test_nothing_bars_anyone(browser: Any, address: str, scheme: str, width: int, height: int) -> None:
     view = {"width": width, "height": height}
-    with mixer(browser, address, viewport=view, color_scheme=scheme, reduced_motion="reduce") as page:
+    with mixer(browser, address, viewport=view, color_scheme=scheme) as page:
         page.open(scene=0, view=0, object="none", edits="object", pick="3,3,target", curve="stops")
         assert barriers(page.page) == []
         assert page.page.evaluate("document.documentElement.scrollWidth") <= width
