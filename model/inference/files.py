@@ -15,6 +15,6 @@ class Files:
     mask: Path
     """Where the object is: white on black."""
     depth: Path | None = None
-    """Depth of the composite in any unit, 0 where unknown: PNG or TIFF of one channel, or .npy."""
+    """Depth of the composite in any unit, far is large, 0 where unknown: PNG or TIFF of one channel, .exr, or .npy."""
     depth_model: Path | None = None
     """Instead: ONNX model that estimates it (Depth Anything V2's layout)."""

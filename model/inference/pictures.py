@@ -1,6 +1,7 @@
 """Pictures, masks and depths read from files that people have, with messages that say what is wrong with them."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +10,11 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 from multilight.datagen.errors import UserError, reason_of
 from multilight.datagen.files.outputs import check_file, written
 from multilight.scenes.arrays import Float32, UInt8
+from multilight.scenes.files.exr import read_exr
 from multilight.scenes.files.limits import open_picture, read_npy
+
+INFINITE = 1e9
+"""Depths from here on are infinite, in any unit: Blender writes 1e10 where a ray meets nothing."""
 
 
 def opened(path: Path) -> Image.Image:
@@ -42,11 +47,13 @@ def read_mask(path: Path) -> Float32:
 def read_depth(path: Path) -> Float32:
     """Read the depth along the optical axis, in any unit: (H, W) float32, 0 where unknown or infinitely far.
 
-    `.npy` of floats, or a picture of one channel (8 or 16 bits, or float TIFF).
+    `.npy` of floats, OpenEXR, or a picture of one channel (8 or 16 bits, or float TIFF).
     """
-    if path.suffix.lower() == ".npy":
+    if path.suffix.lower() in (".npy", ".exr"):
         try:
-            depth = read_npy(path)
+            depth = read_npy(path) if path.suffix.lower() == ".npy" else _depth_channel(read_exr(path))
+        except FileNotFoundError:
+            raise UserError(f"{path} does not exist") from None
         except (OSError, ValueError) as error:
             raise UserError(f"depth {path} cannot be read: {reason_of(error)}") from None
     else:
@@ -56,10 +63,22 @@ def read_depth(path: Path) -> Float32:
         raise UserError(f"depth {path} has shape {depth.shape}; it must be one number a pixel (H, W)")
     if np.isnan(depth).any():
         raise UserError(f"depth {path} holds NaN on {np.isnan(depth).sum()} pixels; write 0 where it is unknown")
-    depth = np.where(np.isinf(depth), np.float32(0.0), depth)
+    depth = np.where(np.isinf(depth) | (depth >= INFINITE), np.float32(0.0), depth)
     if depth.min() < 0 or depth.max() <= 0:
         raise UserError(f"depth {path} runs from {depth.min():g} to {depth.max():g}; it must be positive, 0 if unknown")
     return depth
+
+
+def _depth_channel(channels: dict[str, NDArray[Any]]) -> NDArray[Any]:
+    """Return the depth among an OpenEXR file's channels: the only one, `Z`, Blender's `Depth`, or a grey picture's."""
+    named = [name for name in channels if name == "Z" or "depth" in name.lower().split(".")]
+    if len(channels) == 1 or len(named) == 1:
+        return channels[named[0] if named else next(iter(channels))]
+    if not named and {"R", "G", "B"} <= set(channels):
+        red, green, blue = (channels[name] for name in "RGB")
+        if np.array_equal(red, green) and np.array_equal(red, blue):
+            return red
+    raise ValueError(f"its channels are {', '.join(channels)}; write the depth alone, or as Z")
 
 
 def check_picture(path: Path) -> None:

@@ -15,11 +15,10 @@ from multilight.scenes.arrays import Float32
 from multilight.scenes.assets.cache import write_once
 from multilight.scenes.assets.info import AssetError, AssetInfo
 from multilight.scenes.assets.packs.pack import Pack
-from multilight.scenes.files.limits import LimitError, check_file, check_pixels
+from multilight.scenes.files.exr import read_exr
+from multilight.scenes.files.limits import check_pixels
 
 LARGEST_HALF = 65504.0
-MOST_CHANNELS = 64
-"""Channels of an environment map's file, over all its parts; three of them are used."""
 
 
 @dataclass(frozen=True)
@@ -85,12 +84,10 @@ def read_environment(path: Path) -> Float32:
     Raises `AssetError` where it is broken, not finite, black, or not twice as wide as high.
     """
     try:
-        _check_size(path)
-        with OpenEXR.File(str(path), separate_channels=True) as file:
-            channels = file.channels()
-            names = "YYY" if "Y" in channels and "R" not in channels else "RGB"
-            image = np.stack([channels[c].pixels for c in names], axis=-1).astype(np.float32)
-    except (OSError, RuntimeError, ValueError, KeyError, TypeError) as error:
+        channels = read_exr(path)
+        names = "YYY" if "Y" in channels and "R" not in channels else "RGB"
+        image = np.stack([channels[c] for c in names], axis=-1).astype(np.float32)
+    except (OSError, ValueError, KeyError) as error:
         raise AssetError(f"{path} is not a readable RGB EXR file: {error}") from error
     check_map(image, str(path))
     return image
@@ -158,17 +155,6 @@ def keep_map(image: Float32, name: str, folder: Path) -> str:
     kept = f"sky-{hashlib.sha256(f'{image.shape}'.encode() + image.tobytes()).hexdigest()[:32]}"
     write_once(folder / f"{kept}.exr", lambda path: _write_half(image, path))
     return kept
-
-
-def _check_size(path: Path) -> None:
-    """Raise `LimitError` where an EXR file has more pixels, or channels of them, than are read."""
-    check_file(path)
-    with OpenEXR.File(str(path), header_only=True) as file:
-        for part in file.parts:
-            (left, top), (right, bottom) = part.header["dataWindow"]
-            check_pixels(int(right) - int(left) + 1, int(bottom) - int(top) + 1)
-            if len(file.parts) * len(part.header["channels"]) > MOST_CHANNELS:
-                raise LimitError(f"it has more than {MOST_CHANNELS} channels; write its red, green and blue alone")
 
 
 def without_negatives(image: Float32) -> Float32:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import onnx
+import OpenEXR
 import pytest
 import torch
 from onnx import TensorProto, helper
@@ -131,6 +132,34 @@ def test_command_writes_a_picture_of_the_same_size(files: dict[str, Path]) -> No
     depth = depth_from_metres(read_depth(files["depth"]))
     expected = harmonize(network("gain"), composite, background, depth, mask=read_mask(mask))
     np.testing.assert_allclose(result, expected, atol=0.51 / 255)
+
+
+@pytest.mark.parametrize("depth", ["Z", "V", "ViewLayer.Depth.Z", "depth.Z", "R G B"])
+def test_depth_of_exr(depth: str, tmp_path: Path) -> None:
+    """What `multilight mix` writes, Blender's passes, and the grey pictures that some programs make of depth."""
+    metres = np.linspace(0.5, 80, 42, dtype=np.float32).reshape(6, 7)
+    written = metres.copy()
+    written[0, 0] = 1e10
+    channels = dict.fromkeys(depth.split(), written)
+    if "." in depth:
+        channels |= {f"ViewLayer.{name}": np.ones_like(metres) for name in ("Combined.R", "Normal.Z")}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, channels).write(str(tmp_path / "depth.exr"))
+    metres[0, 0] = 0.0
+    np.testing.assert_array_equal(read_depth(tmp_path / "depth.exr"), metres)
+
+
+def test_exr_without_depth_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "colour.exr"
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, {name: np.full((4, 4), v, np.float32) for v, name in enumerate("RGB")}).write(str(path))
+    with pytest.raises(UserError, match=r"colour\.exr cannot be read: its channels are B, G, R; write the depth alone"):
+        read_depth(path)
+    path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(UserError, match=r"colour\.exr cannot be read: it is no OpenEXR file that can be decoded"):
+        read_depth(path)
+    with pytest.raises(UserError, match=r"none\.exr does not exist"):
+        read_depth(tmp_path / "none.exr")
 
 
 def test_without_depth_level_ground_is_assumed(files: dict[str, Path], capsys: pytest.CaptureFixture[str]) -> None:
