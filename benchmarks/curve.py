@@ -3,7 +3,7 @@
 Reads what `multilight evaluate` wrote about the trainings of `multilight ablate scenes`, and prints a row for each
 number of scenes: the mean over seeds, in domain and out of it [dB].
 
-    multilight ablate scenes out/volume-packed --size 64 --steps 5000 --batch 16 --seeds 1 --out out/curve
+    multilight ablate scenes out/volume-packed --size 64 --steps 12000 --batch 16 --seeds 1 --out out/curve
     multilight evaluate out/volume-packed --weights out/curve/runs/*/model.safetensors --groups 1000 --size 64 \\
         --lighting random --out out/curve/report
     python -m benchmarks.curve out/curve/report/evaluation.json --plot docs/curve.png
