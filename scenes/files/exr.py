@@ -18,6 +18,7 @@ def read_exr(path: Path) -> dict[str, NDArray[Any]]:
     Raises `OSError` where it cannot be opened, `ValueError` where it is damaged or holds too much.
     """
     check_file(path)
+    told: set[str] = set()
     try:
         with OpenEXR.File(str(path), header_only=True) as file:
             for part in file.parts:
@@ -25,9 +26,13 @@ def read_exr(path: Path) -> dict[str, NDArray[Any]]:
                 check_pixels(int(right) - int(left) + 1, int(bottom) - int(top) + 1)
                 if len(file.parts) * len(part.header["channels"]) > MOST_CHANNELS:
                     raise LimitError(f"it has more than {MOST_CHANNELS} channels; write those alone that are needed")
+                told |= {channel.name for channel in part.header["channels"]}
         with OpenEXR.File(str(path), separate_channels=True) as file:
-            return {name: channel.pixels for part in reversed(file.parts) for name, channel in part.channels.items()}
+            found = {name: channel.pixels for part in reversed(file.parts) for name, channel in part.channels.items()}
     except LimitError:
         raise
     except Exception as error:  # the binding raises bare RuntimeError and others for damaged files
         raise ValueError(f"it is no OpenEXR file that can be decoded ({error})") from None
+    if lost := told - set(found):  # of parts that it cannot decode the binding only warns, and leaves them out
+        raise ValueError(f"it is truncated or damaged: {', '.join(sorted(lost))} cannot be decoded")
+    return found

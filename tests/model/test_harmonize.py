@@ -155,7 +155,11 @@ def test_exr_without_depth_is_told(tmp_path: Path) -> None:
     OpenEXR.File(header, {name: np.full((4, 4), v, np.float32) for v, name in enumerate("RGB")}).write(str(path))
     with pytest.raises(UserError, match=r"colour\.exr cannot be read: its channels are B, G, R; write the depth alone"):
         read_depth(path)
-    path.write_bytes(path.read_bytes()[:100])
+    content = path.read_bytes()
+    path.write_bytes(content[:-20])
+    with pytest.raises(UserError, match=r"colour\.exr cannot be read: it is truncated or damaged: B, G, R cannot"):
+        read_depth(path)
+    path.write_bytes(content[:100])
     with pytest.raises(UserError, match=r"colour\.exr cannot be read: it is no OpenEXR file that can be decoded"):
         read_depth(path)
     with pytest.raises(UserError, match=r"none\.exr does not exist"):
