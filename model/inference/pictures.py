@@ -53,7 +53,7 @@ def read_depth(path: Path) -> Float32:
         try:
             depth = read_npy(path) if path.suffix.lower() == ".npy" else _depth_channel(read_exr(path))
         except FileNotFoundError:
-            raise UserError(f"{path} does not exist") from None
+            raise UserError(f"depth {path} does not exist") from None
         except (OSError, ValueError) as error:
             raise UserError(f"depth {path} cannot be read: {reason_of(error)}") from None
     else:

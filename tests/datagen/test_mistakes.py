@@ -95,7 +95,7 @@ MISTAKES = {
     "evaluate --out O --foscom NONE": "NONE is not FOSCom",
     "ablate order DATA --out O --weights-2d STAGE3D": "of the 3D stage",
     f"{PICTURES} --out O.png --weights OTHER": "weights OTHER name no network",
-    f"{PICTURES} --out O.png --depth NONE.npy": "NONE.npy cannot be read",
+    f"{PICTURES} --out O.png --depth NONE.npy": "depth NONE.npy does not exist",
     f"{PICTURES} --out O.png --depth-model TEXT": "depth model TEXT cannot be opened",
     "insert NONE --asset builtin/die-01 --out O": "capture NONE does not exist",
     "insert DIR --asset builtin/die-01 --out O": "DIR is no capture",
