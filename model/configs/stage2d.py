@@ -149,6 +149,8 @@ class TrainingConfig(Settings):
     """Decay of the average of the weights that is validated and kept."""
     shadows: Positive = 1.0
     """Factor on the shadows that a head of lights casts, in the finished weights: in doubt it learns too faint ones."""
+    glow: Annotated[float, Field(ge=0, le=5)] = 0.0
+    """Added in the finished weights to the logit of what it takes for the object's own glow and leaves as it is."""
     precision: Literal["auto", "fp32", "bf16"] = "auto"
     """Arithmetic of the network; `auto`: bf16 on CUDA devices that have it, else fp32."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
@@ -178,8 +180,10 @@ class TrainingConfig(Settings):
     def _lengths_hold(self) -> "TrainingConfig":
         if (self.steps is None) == (self.minutes is None):
             raise ValueError("say either steps or minutes")
-        if self.shadows != 1.0 and getattr(self.network, "head", None) != "light":
-            raise ValueError(f"shadows = {self.shadows:g}: only a network with head = 'light' casts any; leave it at 1")
+        if getattr(self.network, "head", None) != "light":
+            for key, given, idle in (("shadows", self.shadows, 1), ("glow", self.glow, 0)):
+                if given != idle:
+                    raise ValueError(f"{key} = {given:g}: only a network of head = 'light' has it; leave it at {idle}")
         ends = [stage.until for stage in self.stages]
         if ends != sorted(ends) or ends[-1] != 1.0 or ends[0] <= 0:
             raise ValueError(f"stages must end in ascending order, the last at 1; got until = {ends}")

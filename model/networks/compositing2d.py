@@ -171,6 +171,14 @@ class Compositing2D(nn.Module):
             outer = without_least(outer)
         return torch.cat((inner, outer), dim=1).float(), guess
 
+    @torch.no_grad()
+    def calibrate(self, shadows: float, glow: float) -> None:
+        """Multiply the logarithms of shadows that the lights cast, and add to the logit of the object's own glow."""
+        for parameter in (self.light.last.weight, self.light.last.bias):
+            parameter[-3:] *= shadows
+        assert self.head.bias is not None
+        self.head.bias[-1] += glow
+
 
 def mean_inside(features: Tensor, mask: Tensor) -> Tensor:
     """Average features (B, C, h, w) over the object, `mask` (B, 1, H, W) of any size: (B, C)."""

@@ -96,11 +96,6 @@ class LightHead(nn.Module):
             here, logit, numbers
         )
 
-    def strengthen(self, factor: float) -> None:
-        """Multiply the logarithms of all shadows that will be cast."""
-        for parameter in (self.last.weight, self.last.bias):
-            parameter.data[-3:] *= factor
-
     def of_one_scene(self, numbers: Tensor, rotations: Tensor) -> Tensor:
         """Agree on one set of lights for V views of a scene: numbers (V, N), rotations (V, 3, 3) camera to world.
 

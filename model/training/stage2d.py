@@ -81,7 +81,7 @@ class Trainer2D(Trainer[Batch]):
     def _finished(self) -> nn.Module:
         finished = copy.deepcopy(self.average)
         if isinstance(finished, Compositing2D) and self.config.network.head == "light":
-            finished.light.strengthen(self.config.shadows)
+            finished.calibrate(self.config.shadows, self.config.glow)
         return finished
 
     def _about(self, found: dict[str, float]) -> dict[str, str]:

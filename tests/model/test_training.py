@@ -122,8 +122,8 @@ def test_finished_weights_load_and_say_what_they_are(spheres_dataset: Path, tmp_
         load_network(tmp_path / "cut.safetensors")
 
 
-def test_shadows_of_finished_weights_are_as_strong_as_told(spheres_dataset: Path, tmp_path: Path) -> None:
-    chosen = config(spheres_dataset, tmp_path, steps=2, network=TINY | {"head": "light"}, shadows=1.5)
+def test_finished_weights_are_calibrated_as_told(spheres_dataset: Path, tmp_path: Path) -> None:
+    chosen = config(spheres_dataset, tmp_path, steps=2, network=TINY | {"head": "light"}, shadows=1.5, glow=1.0)
     train(chosen)
     path = newest_checkpoint(tmp_path / "checkpoints")
     assert path is not None
@@ -133,6 +133,8 @@ def test_shadows_of_finished_weights_are_as_strong_as_told(spheres_dataset: Path
         if name.startswith("light.last."):
             assert expected[-3:].abs().max() > 0
             expected[-3:] *= 1.5
+        if name == "head.bias":
+            expected[-1] += 1.0
         torch.testing.assert_close(tensor, expected, rtol=0, atol=0, msg=name)
 
 
@@ -360,7 +362,8 @@ def test_average_follows_and_decay_spares_biases() -> None:
         ("stages = [{sise = 3}]", "unknown key 'stages.sise'; did you mean 'stages.size'"),
         ("learning_rate = -1.0", "learning_rate = -1.0: Input should be greater than 0"),
         ("network = 'slin'", "network preset 'slin': there are slim, paper"),
-        ("shadows = 2.0\nnetwork = 'paper'", "shadows = 2: only a network with head = 'light' casts any"),
+        ("shadows = 2.0\nnetwork = 'paper'", "shadows = 2: only a network of head = 'light' has it"),
+        ("glow = 1.0\nnetwork = 'paper'", "glow = 1: only a network of head = 'light' has it; leave it at 0"),
         ("minutes = 3.0", "say either steps or minutes"),
         ("stages = [{until = 0.5}]", "stages must end in ascending order"),
         ("= 3", "cannot be read as TOML"),
