@@ -107,7 +107,7 @@ def test_code_runs_as_printed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> 
         for code in blocks(ROOT / "docs" / f"{page}.md", "python"):
             if "import multilight" in code or "from multilight" in code:
                 code = re.sub(r"emissive or mirror", "objects > 0", as_spheres(code))
-                exec(compile(code.replace("out/packed", "out/dataset"), f"{page}.md", "exec"), names)
+                exec(compile(re.sub("out/(packed|first)", "out/dataset", code), f"{page}.md", "exec"), names)
                 ran += 1
     assert ran == 5
     assert isinstance(names["data"], MultiLightDataset)
